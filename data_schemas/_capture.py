@@ -605,10 +605,10 @@ class TactileSession(Record):
     captures: tuple[str, ...] = Field(description="files of the tactile captures, in the order of the contacts")
     devices: tuple[DeviceIdentity, ...] = ()
     press_devices: tuple[PressDevice, ...] = Field(
-        default=(), description="identity of stage and load cell, where they pressed"
+        default=(), description="identity of stage and load cell, if a stage did the pressing"
     )
     measured: tuple[MeasuredPress, ...] = Field(
-        default=(), description="what was recorded of each contact, where a stage pressed"
+        default=(), description="what was recorded of each contact, if a stage did the pressing"
     )
     load_cell: LoadCellCalibration | None = None
     notes: tuple[str, ...] = ()

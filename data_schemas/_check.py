@@ -131,8 +131,8 @@ class CheckPlan(Record):
     photodiode: str | None = Field(
         default=None,
         min_length=1,
-        description="serial port (/dev/ttyACM1) or pyserial URL of a photodiode that sees the laser, as a witness that "
-        "it is off; left out: the camera",
+        description="serial port (/dev/ttyACM1) or pyserial URL of a photodiode that sees the laser and confirms that "
+        "it is off; left out: the camera does this",
     )
     limits: CheckLimits = CheckLimits()
 
@@ -354,7 +354,7 @@ class StrayLight(Model):
 
     passed: BlockedLight | None = None
     blocked: tuple[BlockedLight, ...] = ()
-    missing: str | None = Field(default=None, description="why nothing can be seen on this rig")
+    missing: str | None = Field(default=None, description="why this cannot be observed on this rig")
 
 
 class LatencyTry(Model):
@@ -403,7 +403,9 @@ class DiodeLevels(Model):
     on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
     threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
     readings: Annotated[int, Field(ge=1)] = Field(description="this many readings in a row below it count as off")
-    sees_pulses: bool = Field(description="a reading holds all since the one before, so that no pulse is missed")
+    sees_pulses: bool = Field(
+        description="each reading covers all the time since the one before, so that no pulse is missed"
+    )
     off_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None, description="standard deviation of one reading with the laser off; None: not recorded"
     )
@@ -455,8 +457,13 @@ class CheckFacts(Model):
         default=(), description="identities that the devices reported after they were opened again"
     )
     light_off: tuple[LightOff, ...] = ()
-    diode: DiodeLevels | None = Field(default=None, description="the photodiode as a witness; None: there was none")
-    sight: SightLevels | None = Field(default=None, description="the camera as a witness; None: it was not asked")
+    diode: DiodeLevels | None = Field(
+        default=None, description="what the photodiode recorded to confirm that the laser is off; None: there was none"
+    )
+    sight: SightLevels | None = Field(
+        default=None,
+        description="what the camera recorded to confirm that the laser is off; None: it was not used for this",
+    )
     errors: dict[Section, str] = Field(default={}, description="the error that ended a section early, by section")
 
 

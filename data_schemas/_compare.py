@@ -108,7 +108,7 @@ class ErrorRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(
-        description="1 - squared error relative to that of the no-contact image; the true one is at most 1, but an "
+        description="1 - squared error relative to that of the no-contact image. The true one is at most 1, but an "
         "estimate and its interval may lie above it, because noise is subtracted and the remainder scatters "
         "to both sides. An interval that lies entirely above 1 means that model and noise disagree: the "
         "remaining error is smaller than the noise explains"

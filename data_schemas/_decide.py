@@ -118,7 +118,7 @@ class LightAngleDecision(Record):
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg
     verdict: Verdict
-    at_range_end: bool = Field(default=False, description="the optimum may lie outside the sweep: widen it")
+    at_range_end: bool = Field(default=False, description="the optimum may lie outside the sweep: widen the sweep")
     headline: str = Field(default="", description="the first of the sentences: what to do; empty in older versions")
     sentence: str
     tolerance_rel: Fraction

@@ -149,7 +149,7 @@ class PressSurrogate(Record):
     crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] | None = Field(
         default=None,
         description="features of increments whose parts pass through each other or that found no equilibrium, "
-        "near which the surrogate does not answer; None if there are none",
+        "near which the surrogate is not used; None if there are none",
     )
     processor_s: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "s"})] = Field(
         description="processor time of the training"

@@ -64,7 +64,7 @@ class Optics(Model):
     white_reference: WhiteReference
     band_uncertainty: BandUncertainty = Field(
         default=BandUncertainty(),
-        description="uncertainties of each band value besides the noise of its frames; the usual ones where an older "
+        description="uncertainties of each band value besides the noise of its frames; the defaults where an older "
         "version did not state them",
     )
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
@@ -95,8 +95,8 @@ class Bleaching(Model):
     sd_per_j: Annotated[float, Field(ge=0.0)]
     dose_span_j: EnergyJ = Field(description="dose between the first frames and their repeat")
     resolved: bool = Field(
-        description="whether the loss exceeds three standard deviations; if so, it was corrected (to the dose of the "
-        "first laser frame); otherwise nothing was corrected and the trend is part of the covariance"
+        description="whether the loss exceeds three standard deviations. If so, it was corrected (to the dose of the "
+        "first laser frame). Otherwise nothing was corrected and the trend is part of the covariance"
     )
 
 
@@ -261,7 +261,7 @@ class CameraPlan(Record):
     camera_name: str = Field(description="name of the camera, for the session's folder and the characterisation")
     filter_name: str | None = Field(
         default=None,
-        description=("filter in the beam; if it is left out, the wheel must read that no filter is in the beam"),
+        description=("filter in the beam; if it is left out, the wheel must report that no filter is in the beam"),
     )
     region: RegionOfInterest = Field(description="evenly lit part of the white tile")
     levels: Annotated[int, Field(ge=FEWEST_LEVELS, le=200)] = Field(

@@ -274,7 +274,7 @@ class LayerBrightness(Model):
     layer: str
     channel: Literal["red", "green", "blue"]
     over_design_rel: Estimate = Field(
-        description="product of gain, powers, yields and response, relative to that of the design"
+        description="product of the camera's gain, powers, yields and response, relative to that of the design"
     )
 
 

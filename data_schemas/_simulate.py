@@ -357,7 +357,7 @@ class SurrogateBars(Model):
     """How far the answers of a taught surrogate may be from the finite elements that taught it."""
 
     level_share: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        description="share of answers whose error the bars should contain"
+        description="share of presses whose error the bars should contain"
     )
     presses: Annotated[int, Field(gt=0)] = Field(description="number of training presses")
     limit_rel: Annotated[float, Field(gt=0.0)] = Field(
@@ -394,7 +394,7 @@ class PressMechanics(Record):
     )
     energy_n_mm: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N mm", allow_nan=True)] = Field(
         description="energy that is stored: strain, ties and contact; NaN where another program's results do not "
-        "hold it. In records without contact_energy_n_mm, presses by the barrier also include the energy of its "
+        "hold it. In records without contact_energy_n_mm, presses with barrier contact also include the energy of its "
         "drive and the last friction"
     )
     contact_energy_n_mm: PartOfEnergy | None = Field(
@@ -469,17 +469,17 @@ class PressIncrement(Record):
     )
     parts_touch_from_mm: float | None = Field(
         default=None,
-        description="push at the first increment where contact between parts of the finger acted beside the penalty of "
-        "the indenter; None where there was none, or in increments of older versions",
+        description="push at the first increment where contact between parts of the finger acted in addition to the "
+        "penalty contact of the indenter; None where there was none, or in increments of older versions",
     )
     points_per_side: Annotated[int, Field(gt=0)] | None = Field(
         default=None,
-        description="points along a side of each face of the coat at which the penalty acts; None for the barrier, or "
-        "in increments of older versions, where it acted at 2",
+        description="points along a side of each face of the coat at which penalty contact acts; None with barrier "
+        "contact, or in increments of older versions, where it acted at 2",
     )
     points_on_border: bool | None = Field(
         default=None,
-        description="whether some of these points lie on the border of the coat; None for the barrier, or in "
+        description="whether some of these points lie on the border of the coat; None with barrier contact, or in "
         "increments of older versions, where none did",
     )
     design: FingerDesign

@@ -61,8 +61,8 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
         if isinstance(what, Record) and not isinstance(what, kind):
             raise RecordError(f"{argument}: {needed_kind(kind.__name__)}; {_in_words(what)} was given")
         raise RecordError(
-            f"{argument}: a list is needed, each a {kind.__name__} or the path of a stored one; {_in_words(what)} was "
-            "given"
+            f"{argument}: a list is needed, each element a {kind.__name__} or the path of a stored one; "
+            f"{_in_words(what)} was given"
         )
     return list(what)
 

@@ -73,8 +73,11 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
             f"{path}: a camera response of {table[:, 1:].max():.4g} per cent; at most {LARGEST_RESPONSE_PERCENT:g} is "
             "allowed: correct the row, or scale the columns together"
         )
-    if not (table[:, 1:] > 0).any(axis=0).all():
-        raise CurveError(f"{path}: a channel of the camera response is zero everywhere")
+    if empty := [name for name, column in zip(CAMERA_COLUMNS[1:], table[:, 1:].T, strict=True) if not column.any()]:
+        raise CurveError(
+            f"{path}: column '{empty[0]}' is 0 in all rows; a colour camera needs a response in each channel: correct "
+            "the column"
+        )
     peaks = table[:, 1:].max(axis=0)
     if (
         peaks.max() > LARGEST_CHANNEL_RATIO * np.sort(peaks)[1]

@@ -446,7 +446,7 @@ def _toml_remedy(content: bytes, fault: str) -> str:
     number = re.search(r"line (\d+)", fault)
     line = lines[int(number[1]) - 1] if number and int(number[1]) <= len(lines) else ""
     hint = next((hint for mistake, hint in _TOML_MISTAKES if re.search(mistake, line)), "")
-    shown = f"correct the line {line.strip()[:60]!r}" if line.strip() else "correct that line"
+    shown = f"correct the line {line.strip()[:60]!r}" if line.strip() else "correct the file"
     return f"{shown}: {hint}" if hint else shown
 
 
@@ -560,7 +560,7 @@ def _require_shallow_json(content: bytes) -> None:
         elif mark in b",":
             values += 1
         if depth > DEEPEST_JSON:
-            raise ValueError(f"more than {DEEPEST_JSON} lists or objects within each other")
+            raise ValueError(f"lists or objects are nested more than {DEEPEST_JSON} deep; flatten them")
         if values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values")
 
@@ -569,12 +569,12 @@ def _require_shallow_toml(text: str) -> None:
     """Refuse deep nesting and long dotted keys outside of strings and comments."""
     bare = _TOML_WORDS.sub("x", text)
     if _TOML_CHAIN.search(bare):
-        raise ValueError(f"a key of more than {DEEPEST_TOML} parts")
+        raise ValueError(f"a key has more than {DEEPEST_TOML} parts; shorten it")
     depth = 0
     for mark in re.findall(r"[\[\]{}]", bare):
         depth += 1 if mark in "[{" else -1
         if depth > DEEPEST_TOML:
-            raise ValueError(f"more than {DEEPEST_TOML} lists or tables within each other")
+            raise ValueError(f"lists or tables are nested more than {DEEPEST_TOML} deep; flatten them")
 
 
 def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -622,7 +622,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _refuse_half_characters(parsed: Any) -> None:
     """Refuse one half of a surrogate pair, which no file and no screen can show."""
     if any(_SURROGATE.search(text) for text in _texts(parsed)):
-        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff)")
+        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff); write it anew")
 
 
 def _refuse_odd_numbers(value: Any) -> None:
@@ -633,4 +633,4 @@ def _refuse_odd_numbers(value: Any) -> None:
     elif isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{value} is not a finite number; leave the key out if it is not known")
     elif isinstance(value, int) and abs(value) > LONGEST_WHOLE_NUMBER:
-        raise ValueError("a whole number is too large (at most 2^64)")
+        raise ValueError("a whole number is too large (at most 2^64); correct it")

@@ -131,7 +131,7 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
     if facts.filter_proof is None or facts.filter_proof.verdict != "confirmed":
         arrives = not_proven(arrives, NOT_SEEN_TO_TURN)
     if "wheel" in facts.errors:
-        arrives = not_proven(arrives, f"an error leaves it open (see {SECTIONS['wheel']})")
+        arrives = not_proven(arrives, f"an error left this undecided (see {SECTIONS['wheel']})")
     return (arrives, *_seen_to_turn((in_time,), facts))
 
 
@@ -159,7 +159,7 @@ LEAST_NOISE_DN: Final = 0.4
 """Below it, rounding hides what the noise is."""
 MOST_AT_ZERO: Final = 1e-3  # share of counts at 0: beyond it, the noise is cut off
 NOT_SEEN_TO_TURN: Final = (
-    "only the wheel reports that it turned, because the frames do not show every filter in its slot (see there)"
+    "only the wheel reports that it turned, because the frames do not show every filter in its slot"
 )
 LIT_IN_THE_DARK: Final = (
     "the white frames are hardly brighter than the dark frames: the lamp was always off, or also on in the dark frames"
@@ -391,7 +391,7 @@ def judge_warm_up(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings) ->
     if (warm := facts.warm_up) is None:
         if "warm-up" in facts.errors:
             return ()
-        reason = "the plan asks for none (warm_up_s = 0)"
+        reason = "the plan asks for no warm-up (warm_up_s = 0)"
         return tuple(unmeasured("warm-up", *both, "UNDECIDED", reason) for both in (settles, dark))
     before, after = np.array(warm.dark_before_dn), np.array(warm.dark_after_dn)
     sd = math.hypot(_sd_of_mean(before), _sd_of_mean(after), math.sqrt(2.0 * ROUNDING_DN2))

@@ -49,8 +49,8 @@ UNASKED: Final = ("manual",)
 
 REMEDIES: Final = {
     " answers": "check cable, supply and address, and that the driver is that of the device",
-    "wheel arrives": "tighten the wheel's belt or motor, see what rubs, and home the wheel",
-    "wheel moves in time": "see what rubs, check the wheel's supply",
+    "wheel arrives": "tighten the wheel's belt or motor, find what rubs, and home the wheel",
+    "wheel moves in time": "find what rubs on the wheel, and check its supply",
     "wheel repeats optically": "tighten the wheel's belt or motor and the filters in their slots",
     "picture stays in place": "tighten filters, lens, camera and tile",
     "dark level": "correct black_level_dn of the rig file (a camera session measures it)",
@@ -65,13 +65,13 @@ REMEDIES: Final = {
     "lamp settles": "check the lamp's supply, or wait for longer before every session",
     "dark level stays": "let the camera warm up before every session",
     "stray light": "close gaps beside the filters, cover what reflects; replace a filter that blocks too little",
-    "laser off": "do not use this laser before what should have switched it off is repaired",
+    "laser off": "do not use this laser until the layer that should have switched it off is repaired",
     "load cell keeps its zero": "let cell and amplifier warm up, keep draughts and cables away",
     "calibration is recent": "calibrate the load cell again (finray rig calibrate-cell)",
-    "load cell is straight": "see what the cell rubs on, tighten its screws and calibrate it again; else replace it",
+    "load cell is straight": "find what rubs on the cell, tighten its screws and calibrate it again; else replace it",
     "calibration holds": "lay the mass on nothing but the cell, or calibrate the cell again with masses that you trust",
     "load cell is quiet": "lead its cable away from motors and mains, tighten its screws, check the amplifier's supply",
-    "load cell returns to zero": "see what rubs on the cell, tighten its screws; replace one that was overloaded",
+    "load cell returns to zero": "find what rubs on the cell, tighten its screws; replace one that was overloaded",
     "readings a second": "correct rate_hz of the rig file, or the pin of the amplifier that sets its rate",
     "readings in time": "close other programs, plug the board straight into the computer, check its cable",
     "goes as far as sent": "correct the controller's steps per mm ($100 to $102 of GRBL), tighten screw and coupling",
@@ -83,7 +83,8 @@ REMEDIES: Final = {
     "check the cell's cable and rate",
     "stage stops": "do not press with this rig before it stops in time: check the controller's cable, raise its "
     "acceleration ($120 to $122 of GRBL)",
-    "position survives stops": "the motor loses steps: lower acceleration and speeds, check its current and what rubs",
+    "position survives stops": "the motor loses steps: lower acceleration and speeds, check its current, and find "
+    "what rubs",
     "touch repeats": "tighten stage, finger and indenter; a stage that loses steps must go more slowly",
 }
 """What to do about a check that failed, by a part of its name; the longest part counts."""
@@ -223,8 +224,8 @@ LEAST_ABOVE_SHARE: Final = 2e-4
 LEAST_SEEN: Final = 10.0
 """Of that margin: a laser that is seen by less is no proof."""
 OTHER_DARK: Final = (
-    "the witness read another level with the laser off than its dark level, so other light changed or the laser is "
-    "only dimmed; keep the box shut and the room as it is, and check again"
+    "with the laser off the instrument read a level that differs from its dark level, so other light changed or the "
+    "laser is only dimmed; keep the box shut and the room as it is, and check again"
 )
 BETWEEN_PULSES: Final = (
     "the frames are exposed for less than 20 ms, so the pulses of a laser that is only dimmed may lie between them; "
@@ -363,8 +364,8 @@ def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserS
         return found
     return not_proven(
         found,
-        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so it does not prove 'off'; shade the witness "
-        "from other light, or let it see more of the laser",
+        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so it does not prove 'off'; shade the "
+        "instrument from other light, or let it see more of the laser",
     )
 
 

@@ -101,7 +101,7 @@ NO_FACTOR: Final = (
 DENT_MOVED_PX: Final = 5.0
 LOST_BITS: Final = (
     "{jumps} of {readings} readings were far beyond the noise, as where a bit is lost between amplifier and board, and "
-    "are left out; shorten these wires, and keep them away from the motors'"
+    "are left out; shorten these wires, and keep them away from those of the motors"
 )
 MINUTE_S: Final = 60.0
 FEWEST_STOPS: Final = 3
@@ -199,7 +199,7 @@ def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
     factor = _factor(facts, plan, cell, calibration)
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != cell.address:
-        other = f"the cell was calibrated at '{address}' and is at '{cell.address}' now; calibrate it if it is another"
+        other = f"the cell was calibrated at '{address}' and is at '{cell.address}'; calibrate it if it is another cell"
         return not_proven(first, other), not_proven(second, other), factor
     if cell.force_limit_n > heaviest_n:
         beyond = (
@@ -543,7 +543,7 @@ def _in_words(moving: list[MovingStop]) -> str:
         return f"{said}, and the stage's position was unknown afterwards"
     return (
         f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before its end, and the cell felt up "
-        f"to {longest.peak_n:.3g} N where steps had led to {longest.unstopped_n:.3g} N"
+        f"to {longest.peak_n:.3g} N where a press in steps had given {longest.unstopped_n:.3g} N"
     )
 
 

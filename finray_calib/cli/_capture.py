@@ -334,7 +334,7 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
     if interrupted.doubt:
         say("  all steps are metered again, because a frame differed from its metering in brightness or colour;")
-        say("  frames that the repaired rig does not repeat are set aside and taken again")
+        say("  frames that the repaired rig cannot reproduce are set aside and taken again")
     if interrupted.kind == "camera":
         _resume_camera(folder, interrupted, attend)
     else:

@@ -39,8 +39,8 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser = verbs.add_parser("compare", help=HELP, description=DESCRIPTION)
     parser.add_argument(
         "records", type=Path, nargs="*", metavar="SIMULATED ... CAPTURE",
-        help="record of a simulated press and of a tactile capture; or folders of simulated presses, one of each "
-        "simulator, and last the folder of captures; a folder may be a zip archive",
+        help="record of a simulated press and of a tactile capture; or folders of simulated presses, one for each "
+            "simulator, and last the folder of captures; a folder may be a zip archive",
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=Path, metavar="CSV",
@@ -55,7 +55,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )
     parser.add_argument(
         "--relative", action="store_true",
-        help="judge the change by contact alone: the captured image without contact replaces that of the render "
+        help="judge only the change by contact: the captured image without contact replaces that of the render "
              "(linear values)",
     )  # fmt: skip
     parser.add_argument(
@@ -173,8 +173,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh; their difference is taken as the uncertainty of the "
-            "mesh where it is larger than the known error of the 70 x 35 finger's mesh",
+        help="with --force: the same press on another mesh; the difference between the two presses is taken as the "
+            "uncertainty of the mesh where it is larger than the known error of the 70 x 35 finger's mesh",
     )  # fmt: skip
 
 

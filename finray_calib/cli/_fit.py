@@ -375,7 +375,7 @@ Fit the numbers of a sensor to a few captures of it: powers of its lights, yield
 one gain, shift, scale and blur of the picture, and the numbers of the design that --free names. DESIGN is a painted
 finger (with --paint) or a classic sensor; its camera and its lights are those of the captures. The captures are presses
 of one sensor at one exposure with linear values. Each number keeps the prior that the design states ([uncertainty_rel],
-or what is usual for its [origin]); the command reports what the pictures do not determine. Depth and place of a press
+or the default for its [origin]); the command reports what the pictures do not determine. Depth and place of a press
 are fitted where its capture states their uncertainty. Beside the record a design with the fitted values is written."""
 _OUT_ENDING = ".sensor.json"
 
@@ -454,7 +454,7 @@ def _say_sensor_fit(fit: "SensorFit") -> None:
     say("  number: 95 % interval after the fit (before it), and its width as a share of the prior's:")
     for number in fit.numbers:
         say(f"    {_number_line(number)}")
-    say("  brightness of each layer relative to the design, with one gain for all:")
+    say("  brightness of each light and each fluorescence, relative to the design; the gain of the camera is included:")
     for layer in fit.brightness:
         say(f"    {layer.layer} ({layer.channel}): {layer.over_design_rel}")
     for combination in fit.not_told_apart:

@@ -398,8 +398,8 @@ DESCRIPTION = """\
 Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files are the
 presses, where the image without contact is, which columns hold the contact, the scale and the ball: one that comes with
 finray, by its name (--list shows them), or a file of your own. Videos give contact, no contact and its repeat; contact
-circles that are not drawn are searched for. OUT gets a capture of each press, a picture of all contacts to check
-(contacts.png), and circles.csv: correct it and give it with --circles.
+circles that the set does not state are searched for. OUT gets a capture of each press, a picture of all contacts to
+check (contacts.png), and circles.csv: correct it and give it with --circles.
 
 With --predict-from N, presses spread over the set train a table, and what it predicts of each other press is stored
 beside its capture: 'finray compare OUT OUT' then scores these as a yardstick for simulators. Files with pickled objects

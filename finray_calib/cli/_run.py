@@ -261,7 +261,7 @@ def require_place(path: Path) -> Path:
 def require_folder(path: Path) -> Path:
     """Return `path` if it is a folder, or one can be made there."""
     if path.exists() and not path.is_dir():
-        raise RecordError(f"{path}: is a file, where a folder is written; choose another --out")
+        raise RecordError(f"{path}: is a file, but a folder is to be written there; choose another --out")
     return require_place(path)
 
 

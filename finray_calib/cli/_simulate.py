@@ -197,7 +197,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument(
         "--pose-response", action="store_true",
         help="also render how the contact image changes with the indenter's depth and position, so that 'finray "
-        "compare' can carry the pose's uncertainty (three times the time)",
+            "compare' can include the pose's uncertainty (three times the time)",
     )  # fmt: skip
     parser.add_argument(
         "--shared-light", action="store_true",

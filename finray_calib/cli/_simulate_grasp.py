@@ -140,7 +140,10 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
                 "with less force"
             )
         if pressed.unstable:
-            warn(f"warning: {side} finger: {pressed.unstable}; grasp in smaller increments to see whether it stays")
+            warn(
+                f"warning: {side} finger: {pressed.unstable}; grasp in smaller increments to see whether this "
+                "warning remains"
+            )
         touching = int((pressed.pressure_mpa > 0.0).sum())
         if touching < FEWEST_TOUCHING:
             warn(

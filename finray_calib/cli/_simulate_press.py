@@ -356,7 +356,7 @@ def _store(
         remedy = "press with --contact barrier, or less deeply" if pressed.motion is None else "push less on the path"
         warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
     if pressed.unstable:
-        warn(f"warning: {pressed.unstable}; press in smaller increments to see whether it stays")
+        warn(f"warning: {pressed.unstable}; press in smaller increments to see whether this warning remains")
     if mechanics.motion is None:
         warn_of_few_nodes(pressed, mechanics)
     if mechanics.unreached:
@@ -438,7 +438,7 @@ def _report_sensitivities(found: "PressSensitivities") -> None:
         say(f"    {field:38s} {slope:+.3f}")
     if found.varied:
         say(f"  {len(found.varied)} presses, each with one number changed, for numbers without a derivative")
-    say("  'finray compare --force' carries their uncertainty")
+    say("  'finray compare --force' includes their uncertainty")
 
 
 def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
@@ -446,7 +446,10 @@ def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
     give(force_bar_n=bars.force_bar_n, surface_bar_mm=bars.surface_bar_mm, bar_level=bars.level_share)
     rows = zip(mechanics.depth_mm, mechanics.force_n[:, 1], bars.force_bar_n, bars.surface_bar_mm, strict=True)
     for depth, force, bar, surface in rows:
-        say(f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat +- {1e3 * surface:.0f} um")
+        say(
+            f"  push {depth:6.3f} mm   force {force:7.3f} +- {bar:.3f} N   coat position +- {1e3 * surface:.0f} um "
+            "(rms)"
+        )
     say(
         f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its error bars contain its "
         f"difference from finite elements; the error of the finite elements comes on top"
@@ -514,13 +517,13 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
-        help="penalty (fast), barrier (contact of ribs too) or auto (default: the penalty, and the barrier where ribs "
-        "meet)",
+        help="penalty contact (fast), barrier contact (also between ribs) or auto (default: penalty, and barrier "
+            "where ribs meet)",
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
         help="also report how the force depends on each uncertain modulus and thickness, by derivatives, so that "
-            "'finray compare --force' can carry their uncertainty",
+            "'finray compare --force' can include their uncertainty",
     )  # fmt: skip
     parser.add_argument(
         "--engine", choices=["auto", "calculix"], default="auto",
@@ -575,8 +578,8 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         path or calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"
     ):
         raise SimulateError(
-            "--surrogate answers a press along the pad's normal, without friction; leave it out, or --force, --path, "
-            "--resume, --sensitivities, --contact barrier, --engine and indenter.path"
+            "--surrogate computes only a press along the pad's normal, without friction; leave it out, or leave out "
+            "--force, --path, --resume, --sensitivities, --contact barrier, --engine and indenter.path"
         )
     if arguments.largest_error is not None and arguments.surrogate is None:
         raise SimulateError("--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out")
@@ -584,12 +587,12 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            "--force presses from first touch with the penalty and finray's own elements; leave out --force, or "
+            "--force presses from first touch with penalty contact and finray's own elements; leave out --force, or "
             "leave out --resume, --sensitivities, --contact barrier and --engine"
         )
     if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            f"{path} moves the indenter from first touch with the penalty and finray's own elements; leave it out, "
+            f"{path} moves the indenter from first touch with penalty contact and finray's own elements; leave it out, "
             f"or leave out --force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):

@@ -342,10 +342,9 @@ def _paint_draws(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws],
 
 
 _DATASET_NOTES = (
-    "no camera: no shot or read noise, no defocus, no lens distortion except that of the design; the "
-    "render's own noise is in render_noise_rel, and is the same without and with contact where nothing "
-    "moves, so a difference of the two pictures has less noise than a camera's: add the noise of yours while "
-    "training",
+    "no camera: no shot or read noise, no defocus, no lens distortion except that of the design; the render's own "
+    "noise is in render_noise_rel. Where nothing moves it is the same without and with contact, so the difference of "
+    "the two pictures has less noise than that of two camera pictures: add the noise of your camera while training",
     "no error of the model: materials, dimensions and the camera's response are those of the design in every sample, "
     "and a network trained here has not seen a real finger",
     "no wear, dirt, or other light; no more than one contact; no slip of the indenter along the pad",

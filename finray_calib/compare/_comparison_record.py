@@ -418,22 +418,21 @@ def _error_map(simulated: Floats, comparison: Comparison) -> NDArray[np.float32]
 
 
 COVERS_INPUTS = (
-    "the metric between the noise-free capture and the noise-free render with the true paints, camera and "
-    "pose: these 95 % intervals include the uncertain inputs that the budget lists; noise is removed from every "
-    "error"
+    "The 95 % intervals cover the metric that capture and render would have without noise and with the true paints, "
+    "camera and pose. They include the uncertain inputs that the budget lists. Noise is subtracted from every error"
 )
 _PARTS: Final = (
-    "these intervals show how much a number depends on which pixels of this press are evaluated (square "
-    "tiles of the region, drawn with replacement); they are not 95 % intervals"
+    "The intervals show how much a number depends on which pixels of this press are evaluated (square tiles of the "
+    "region, drawn with replacement). They are not 95 % intervals"
 )
 _NOT_PRESSES: Final = (
-    "They do not apply to another press, which usually differs by several times as much; compare folders of "
-    "three presses or more for an interval over presses"
+    "They do not apply to another press, which usually differs by several times as much. For an interval over "
+    "presses, compare folders of three presses or more"
 )
-COVERS_PARTS = f"{_PARTS}; no input of this image has a known uncertainty. {_NOT_PRESSES}"
+COVERS_PARTS = f"{_PARTS}. No input of this image has a known uncertainty. {_NOT_PRESSES}"
 COVERS_CURVE = (
-    f"{_PARTS}; they include the uncertainty from {{unknown}}; no other input of this image has a known "
-    f"uncertainty. {_NOT_PRESSES}"
+    f"{_PARTS}. They include the uncertainty from {{unknown}}. No other input of this image has a known uncertainty. "
+    f"{_NOT_PRESSES}"
 )
 
 
@@ -531,5 +530,7 @@ def notes_of(
     elif not linear:
         notes.append("the noise of encoded images is not known: it stays in their errors")
     if linear and press.contact_half_difference is None:
-        notes.append("the render holds no halves: its noise stays in its errors")
+        notes.append(
+            "the render was not stored as two independent halves, so its noise is not known and stays in its errors"
+        )
     return tuple(notes)

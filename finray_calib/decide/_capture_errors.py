@@ -92,7 +92,8 @@ def doubts(sweep: LightAngleSweep, captures: Sequence[ValidatingCapture]) -> lis
     unstated = [capture.name for capture in captures if capture.stated_angle_sd_deg is None]
     if unstated:
         notes.append(
-            f"angle of the light, standard uncertainty assumed {UNSTATED_ANGLE_SD_DEG:g} deg: {', '.join(unstated)}"
+            f"the standard uncertainty of the light's angle is assumed to be {UNSTATED_ANGLE_SD_DEG:g} deg for these "
+            f"captures, which state none: {', '.join(unstated)}"
         )
     return notes
 
@@ -133,8 +134,8 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
         )
     if report.relative:
         raise DecideError(
-            f"the report on {report.captured} is relative: it judges the change by contact alone and says nothing of "
-            "the light of the render, on which the angle depends. Compare again without --relative, or leave it out"
+            f"the report on {report.captured} is relative: it judges the change by contact alone, and not the light "
+            "of the render, on which the angle depends. Compare again without --relative, or leave it out"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(

@@ -43,9 +43,9 @@ TOLERANCE_REL = 0.02
 #: Half-width of a central 95 % interval of a normal distribution, in standard deviations.
 _BAND_QUANTILE = 1.959964
 _ERROR_CURVE = (
-    f"a curve that is moved by some {MOVED_SD_DEG:g} deg (one standard deviation) and differs by a random curve over "
-    "the angle, with kinks or without, with a correlation length between 8 and 150 deg, by edges of shadows and by "
-    "narrow reflections"
+    f"the simulated curve is assumed to be shifted by some {MOVED_SD_DEG:g} deg (one standard deviation) and to have "
+    "an error that varies randomly with the angle (correlation length 8 to 150 deg, with or without kinks, with edges "
+    "of shadows and narrow reflections)"
 )
 #: Shape of what is looked at where the error of the normal is decided on.
 FACET = "facet"
@@ -359,13 +359,13 @@ def _notes(
         f"the panel sits at x, y, z = {', '.join(f'{p:g}' for p in light.position_mm)} mm and the mirror reflects "
         f"{100 * sweep.design.mirror.reflectance:.0f} %: the best angle depends on both and on the probe points",
         f"scatter of one value about the curve: {100 * max(c.noise_rel for c in decision.curves):.1f} % from "
-        "render noise, which is averaged over the repeats; the scatter of the paint draws is not averaged, "
+        "render noise, which is averaged over the repeats. The scatter between paint draws is not averaged, "
         "because the real paint is one of them",
     ]
     if on.aim == "normal":
         notes.append(
-            "the error of the sensed normal is that of facets of the undeformed pad, by a map fitted at other "
-            "places; its inverse is assumed to differ from the real finger's as much as a brightness would"
+            "the error of the sensed normal is computed on facets of the undeformed pad, by a map fitted at other "
+            "places. It is assumed to differ from that of the real finger by as large a factor as the brightness does"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
@@ -380,8 +380,9 @@ def _notes(
         )
     if len(on.contacts) > 1:
         notes.append(
-            "the errors at two places share a part of their variance that nobody has measured (10 to 90 %, all equally "
-            "likely); errors by the edges of shadows and by reflections are taken to be the same at all places"
+            "the sim-to-real errors at two places have a part of their variance in common. Nobody has measured how "
+            "much: 10 to 90 % are taken to be equally likely. Errors by edges of shadows and by reflections are "
+            "assumed to be the same at all places"
         )
     return tuple(notes)
 
@@ -390,21 +391,21 @@ def _note_on_error(captures: CaptureErrors) -> str:
     """Say what is assumed of the sim-to-real error, and how captures tell of it."""
     if not captures.names:
         return (
-            "no capture shows how far the finger differs from the simulation; until one does, the error is taken to be "
-            f"{_ERROR_CURVE}, of an assumed size ({_ASSUMED_SIZE}). The stated probabilities are means over such "
-            "errors. For a finger with only one kind of error they are mostly too low, which only captures can show"
+            f"no capture shows how far the finger differs from the simulation. Until one does, {_ERROR_CURVE}. The "
+            f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities are means over such errors. "
+            "For a finger with only one kind of error they are mostly too low, which only captures can show"
         )
     compared = (
-        "relative to the no-contact image of each capture, so an error that both images share is not seen; "
-        "it is assumed that such captures reveal, with a probability of 1/2, almost nothing of it and "
+        "relative to the no-contact image of each capture, so an error that both images share is not seen. "
+        "It is assumed that such captures reveal, with a probability of 1/2, almost nothing of it and "
         "otherwise any share of it, so they never decide alone"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
     )
     return (
-        f"captures are compared {compared}; at other angles the sim-to-real error is taken to be {_ERROR_CURVE}, of a "
-        f"size that the captures determine (prior: {_ASSUMED_SIZE}); captures show the image beside the indenter, "
-        "while the sweep evaluates its probe points"
+        f"captures are compared {compared}. At other angles {_ERROR_CURVE}. The captures determine the size of this "
+        f"error (prior: {_ASSUMED_SIZE}). They show the image beside the indenter, while the sweep evaluates its probe "
+        "points"
     )
 
 
@@ -494,7 +495,8 @@ def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "
     shapes = sorted({contact.shape for contact in contacts})
     size = f" of {indenter.radius_mm:g} mm radius" if shapes in (["cylinder"], ["ball"]) else ""
     along = f"{places[0]:g} to {places[-1]:g} mm" if len(places) > 1 else f"{places[0]:g} mm"
-    beside = "on the middle line" if across == [0.0] else f"{across[0]:g} to {across[-1]:g} mm from the middle line"
+    away = f"{across[0]:g} to {across[-1]:g} mm" if len(across) > 1 else f"{across[0]:g} mm"
+    beside = "on the middle line" if across == [0.0] else f"{away} from the middle line"
     deep = f"{depths[0]:g} mm" if len(depths) == 1 else f"{depths[0]:g} to {depths[-1]:g} mm"
     return (
         f"The answer holds for touches at {along} along the pad, {beside}, {deep} deep, by a {' or '.join(shapes)}"
@@ -564,8 +566,8 @@ def _ground(decision: AngleDecision, captures_deg: Floats) -> str:
         return (
             "This is the simulation's answer; no capture has checked it, and it stays undecided until one does. It "
             "is assumed that "
-            f"the finger's curve may be moved by some {MOVED_SD_DEG:g} deg and be off by {percent(amplitude_rel)} "
-            f"(95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
+            f"the real curve over the angle may be shifted by some {MOVED_SD_DEG:g} deg and be off by "
+            f"{percent(amplitude_rel)} (95 %: {percent(low_rel)} to {percent(high_rel)}) at each angle."
         )
     angles = [f"{angle:.0f}" for angle in sorted(set(captures_deg.tolist()))]
     listed = " and ".join([*([", ".join(angles[:-1])] if len(angles) > 1 else []), angles[-1]])

@@ -307,11 +307,12 @@ class OtherOptimum:
     def __str__(self) -> str:
         """Say it in one sentence."""
         verdict = {True: "disagrees", False: "agrees", None: "cannot tell"}[self.disagrees]
-        end = ", the end of what the sweep allows," if self.at_range_end else ""
+        end = " (the end of the allowed angles)" if self.at_range_end else ""
         best, decided = (f"{value:.3g}" if self.unit == "1" else f"{value:.3g} {self.unit}" for value in self.values)
         return (
-            f"{self.name} {verdict}: best at {self.best_deg:.0f} deg{end} with {best}, {decided} at the decided angle; "
-            f"loss {100 * self.loss_rel:.1f} % ({100 * self.loss_low_rel:.1f} % to {100 * self.loss_high_rel:.1f} %)"
+            f"{self.name} {verdict}: it is best at {self.best_deg:.0f} deg{end} with {best}; at the decided angle it "
+            f"is {decided}; loss {100 * self.loss_rel:.1f} % ({100 * self.loss_low_rel:.1f} % to "
+            f"{100 * self.loss_high_rel:.1f} %)"
         )
 
 

@@ -248,7 +248,7 @@ def validation_statement(decision: LightAngleDecision) -> str:
     if not decision.validated or decision.discrepancy_rel is None:
         return decision_validation(decision)
     return (
-        f"The decision carries a sim-to-real error of {percent(decision.discrepancy_rel)} (standard deviation "
+        f"The decision includes a sim-to-real error of {percent(decision.discrepancy_rel)} (standard deviation "
         "of the objective), taken from the comparison with one capture at one light angle; it is assumed "
         "that this error is the same at other angles."
     )

@@ -232,9 +232,9 @@ _COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 class RecipeForce(Model):
     """Where the force is: of videos one number for each frame, in a CSV or npy file that holds {press}."""
 
-    file: Pattern = Field(description="path within the folder; of pictures a table, or an npz or JSON file of each")
+    file: Pattern = Field(description="path within the folder; for pictures, a table, or an npz or JSON file for each")
     press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
-    column: str | None = Field(default=None, description="that holds the force; not of an npy file")
+    column: str | None = Field(default=None, description="column or array that holds the force; none for an npy file")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
@@ -557,8 +557,8 @@ def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> Non
         missing = [name for name in read if name not in names]
         if where != _LEAVE_OUT and unknown and missing:
             raise ImportFormatError(
-                f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is no press of {folder}, "
-                f"and not '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
+                f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is not a press of {folder}, but does "
+                f"not name '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
             )
 
 
@@ -652,9 +652,9 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
             f"size_px = [{columns}, {rows}] below [picture]"
         )
     raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change "
-        f"{vote.median_ratio:.2g} times as much (their median) where their circles would be with {said} exchanged, "
-        f"{vote.right} where they are; {remedy}"
+        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change more (median: "
+        f"{vote.median_ratio:.2g} times as much) where their circles would be with {said} exchanged; {vote.right} "
+        f"change more where their circles are now: {remedy}"
     )
 
 

@@ -509,7 +509,7 @@ def energy_warnings(reported: ReportedSpectrum) -> tuple[str, ...]:
 
 REFLECTANCE_METHOD = (
     "total radiance factor under the lamp minus the light that the paint re-emits, for which the absorption is assumed "
-    "to be constant from 380 nm to the foot of the emission (half of this light is stated as its uncertainty); at the "
+    "to be constant from 380 nm to where the emission begins (half of this light is stated as its uncertainty); at the "
     "laser line, from the reflected laser light"
 )
 PLATEAU_UNCERTAINTY_REL = 0.5

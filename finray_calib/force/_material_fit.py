@@ -184,8 +184,9 @@ def _slope(press: PressSensitivities, field: str) -> Floats:
         if slope.field == field:
             return slope.ln_force_per_ln_number
     raise CompareError(
-        f"the derivative of the force by {field} is not available for this press, because the finger is about "
-        "to snap or the contact is a barrier; give curves of smaller displacement"
+        f"the derivative of the force by {field} is not available for this press: the finger is about to snap, or it "
+        "was pressed with barrier contact (for example because ribs touch); give force curves that end at a smaller "
+        "displacement"
     )
 
 

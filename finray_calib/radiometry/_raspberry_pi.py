@@ -261,7 +261,8 @@ def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the enabled algorithms by name, from either layout."""
     if not isinstance(document, Mapping):
         raise ImportFormatError(
-            "tuning: is not a JSON object, which a tuning file must be; give the file of the camera from libcamera"
+            "tuning: is not a JSON object; give the tuning file that libcamera has for this camera (such as "
+            "imx219.json)"
         )
     version = document.get("version", 1.0)
     if not isinstance(version, (int, float)) or version >= 3.0:

@@ -362,7 +362,7 @@ def _changes(report: PhotometricErrorReport, changes: TouchChanges, blank: str) 
         drawing(
             left,
             f"Map of simulated minus captured change. {words.verdict_meaning(report)}",
-            "Simulated minus captured, on the same scale. What to see: it should be even.",
+            "Simulated minus captured, on the same scale. What to see: the map should be uniform.",
             is_small=True,
         ),
     )

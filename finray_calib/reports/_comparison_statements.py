@@ -4,6 +4,7 @@ Every metric stands beside doing nothing and the floor, in light, and in normals
 the uncertainty, and every part of the image against it.
 """
 
+import re
 from collections.abc import Callable
 from math import hypot, sqrt
 from typing import Literal
@@ -217,9 +218,16 @@ def place(cell: ValidationCell) -> str:
     return f"{_PART_ROWS[cell.row]} {_PART_COLUMNS[cell.column]}"
 
 
+def coverage(report: PhotometricErrorReport) -> str:
+    """Return what the intervals cover; older records hold a part of a sentence in place of one."""
+    text = f"{report.interval_covers.rstrip('.')}."
+    is_sentence = re.match("(the|these) ([0-9]+ % )?intervals ", text, re.IGNORECASE)
+    return f"{text[0].upper()}{text[1:]}" if is_sentence else f"The intervals cover {text}"
+
+
 def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     """Return what the numbers do not know: reach of the intervals, withheld figures, findings of the checks."""
-    told = [f"The intervals cover {report.interval_covers.rstrip('.')}."]
+    told = [coverage(report)]
     if report.monte_carlo is not None:
         run = report.monte_carlo
         told += [f"Not in the intervals: {reason.rstrip('.')}." for reason in run.not_included]

@@ -202,8 +202,9 @@ def places_part(decision: LightAngleDecision) -> Part:
         contacts_figure(decision),
         f"How much {what} than at its best, over place and angle. At {decision.angle_deg:.0f} deg the most is lost at "
         f"{worst.position_mm:g} mm from the base: {lost(decision, worst.loss_rel)}.",
-        f"How much {what} than at the best angle for its own place, as expected. Dots: the best angle of each place; "
-        "dashed line: the chosen angle. What to see: bright is good; no angle is bright for all places.",
+        f"Over place and angle: how much {what} than at the best angle for that place (expected value). Dots: the best "
+        "angle of each place; dashed line: the chosen angle. What to see: light colours mean little loss. Look whether "
+        "one angle is light for all places.",
     )
     rows = (
         (
@@ -216,7 +217,7 @@ def places_part(decision: LightAngleDecision) -> Part:
         for contact in decision.contacts
     )
     name, lose = ("touch", "less bright by") if decision.aim == "brightness" else ("place", "error larger by")
-    columns = (name, "weight", "its own best angle", f"{lose}, as expected", f"{lose}, 95 % bound")
+    columns = (name, "weight", "its own best angle", f"{lose}, expected value", f"{lose}, 95 % bound")
     table = one_group(f"Each {name}, with the light at {decision.angle_deg:.0f} deg", columns, rows, is_words=True)
     lead = "Every place has a best angle of its own, but there is one light for all of them."
     return Part("What each place loses", Content(lead, ((picture,),), tables=(table,)))
@@ -443,7 +444,7 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if decision.at_range_end:
         return (
             f"The best angle found, {angle}, is at the end of the sweep. The optimum may lie outside the sweep: widen "
-            "it. Until then no tolerance can be stated, and a loss is relative to the angles of this sweep only."
+            "the sweep. Until then no tolerance can be stated, and a loss is relative to the angles of this sweep only."
         )
     if decision.verdict == "decided":
         return (

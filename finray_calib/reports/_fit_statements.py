@@ -122,7 +122,7 @@ def family_statement(paint: FittedPaint) -> str:
         )
     beside = ""
     if paint.rests_on_measured_spectra:
-        beside = " The reported spectrum does not depend on it; only the parameters and the maps of pixels do."
+        beside = " The reported spectrum does not depend on the family; only the parameters and the maps of pixels do."
     return f"{paint.titled(text)}.{remark}{beside} {_spread(paint)}"
 
 

@@ -140,13 +140,13 @@ def comparison_methods(report: PhotometricErrorReport) -> tuple[str, ...]:
         f"region \u201c{report.headline_region}\u201d ({compared.headline(report).pixels} pixels)."
     )
     others = _other_metrics(report, row is not None and row.ciede2000_mean is not None)
-    covers = f"Intervals cover {report.interval_covers.rstrip('.')}"
+    covers = compared.coverage(report)
     if report.monte_carlo is not None:
-        covers += f", by {report.monte_carlo.draws} draws of all inputs together (JCGM 101, 2008)"
+        covers += f" The intervals come from {report.monte_carlo.draws} draws of all inputs together (JCGM 101, 2008)."
     parts = ""
     if report.validation:
         parts = " The level was validated part by part (ASME V&V 20, 2009)."
-    return (compared_with, f"{covers}.{others}{parts}", compared.simulation_sentence(report))
+    return (compared_with, f"{covers}{others}{parts}", compared.simulation_sentence(report))
 
 
 def _other_metrics(report: PhotometricErrorReport, has_colour: bool) -> str:
@@ -177,7 +177,7 @@ def decision_methods(decision: LightAngleDecision, sweep: LightAngleSweep) -> tu
         real = "No capture was used; a difference between simulation and finger was assumed"
     if decision.discrepancy_rel is not None:
         real += f" ({percent(decision.discrepancy_rel)} as one standard deviation)"
-    real += " and carried as a random curve (Kennedy and O'Hagan, 2001)." if decision.discrepancy_rel else "."
+    real += " and propagated as a random curve (Kennedy and O'Hagan, 2001)." if decision.discrepancy_rel else "."
     if decision.next_render is not None or decision.next_capture is not None:
         real += " The next render and capture to add were chosen by knowledge gradient (Frazier et al., 2009)."
     return (swept, real, decision.sentence)

@@ -257,7 +257,7 @@ class _Recorder:
                 self._store.prove()
                 return
             again = self._store.take_back()
-            self._journal.append("refused", text=f"{told[0]}; {len(again)} frames in the dark before it do not count")
+            self._journal.append("refused", text=f"{told[0]}; {len(again)} dark frames before it are not used")
             if is_last:  # a camera that is late for good was late in the light, too
                 self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=told[0])
                 self._store.set_aside()

@@ -298,7 +298,7 @@ LONGEST_SIGHT_S: Final = 0.05
 """Exposure of the frames that watch the laser: they resolve the time in which it goes off."""
 LEAST_CONTRAST: Final = 0.05  # of full scale, between laser on and off
 MOST_SHARE: Final = 0.1
-"""Of the signal with the laser on: a witness that cannot tell so much light from dark is none."""
+"""Of the signal with the laser on: an instrument that cannot tell so much light from dark confirms nothing."""
 OFF_FRAMES: Final = 6
 LEAST_ABOVE_DN: Final = 0.5
 LEAST_ABOVE_SHARE: Final = 2e-4

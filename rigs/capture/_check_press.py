@@ -231,7 +231,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         if isinstance(error, UnsafeError):
             return "the stage was not seen to stop; switch its motors off before anyone touches it"
         if self._told and not self._told[-1].startswith("moved away"):
-            return "the stage did not leave the pad by itself; free the pad by hand"
+            return "the stage did not leave the pad by itself; move the indenter off the pad by hand"
         if self._presser is not None and str(error).startswith("load cell"):
             return "the load cell failed, so nothing would stop the stage"
         if isinstance(error, NotAllowedError):

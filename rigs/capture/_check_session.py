@@ -188,7 +188,7 @@ class CheckFrames:
                 raise CaptureError(
                     f"camera: the white tile behind filter {band.name} differs by more than "
                     f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the wheel slipped, the "
-                    "lamp changed, or the camera does not expose for as long as it reports; mend the wheel where its "
+                    "lamp changed, or the camera does not expose for as long as it reports. Mend the wheel where its "
                     "rows fail, let the lamp warm up, switch the camera off and on, then check again"
                 )
 

@@ -141,8 +141,9 @@ def under_light(
                 "again?"
             ):
                 raise LightLostError(
-                    f"{light}: was lost, is off, and is not lit again unless a person at the terminal says that the "
-                    f"box is closed ({error}); find out why, close the box, then continue the capture with --resume"
+                    f"{light}: it went off or stopped answering. It is off now, and is not lit again unless a person "
+                    f"at the terminal says that the box is closed ({error}); find out why, close the box, then "
+                    "continue the capture with --resume"
                 ) from error
             else:
                 began = beginning()  # the time of a person is no fault's

@@ -389,7 +389,7 @@ class LaserLine:
                 verdict="contradicted",
                 text=f"under the laser the sample behind filter {name} is {rate / self._white:.3g} times as bright as "
                 f"the laser's line on the white tile behind filter {self._excitation}, which is not possible for a "
-                f"paint: {self._excitation} and {name} are exchanged, or the laser did not reach the tile; look into "
+                f"paint. {self._excitation} and {name} are exchanged, or the laser did not reach the tile; look into "
                 "the wheel and correct the slots of the rig file, or correct the places of filters and tile",
             )
         if not self._is_seen():

@@ -273,7 +273,7 @@ class FrameStore:
         if changed is not None:
             raise SignalChangedError(
                 f"camera: {step.label} shows another colour than at metering: the ratio of two of its channels "
-                f"changed by {changed}, which a light that only dims does not cause: the wheel stopped between two "
+                f"changed by {changed}, which a light that only dims does not cause. The wheel stopped between two "
                 "filters, or other light came in, or the dark level drifted: home the wheel, close the box, let the "
                 "camera warm up, then continue or resume: all steps are metered again"
             )

@@ -349,7 +349,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     lost = sum(line["event"] == "light lost" for line in lines)
     said = [f"{times.total()} exchanges were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
-    said += [f"a light was lost {lost} times"] if lost else []
+    said += [f"a light went off or stopped answering, number of times: {lost}"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
     repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} gives the reason"
     notes = (repaired,) if aside else ()

@@ -166,7 +166,7 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            text = f"all steps and frames from before the repair agree with it, within {100 * SAME_SHARE:.0f} %"
+            text = f"all steps and frames from before the repair agree with the new ones ({100 * SAME_SHARE:.0f} %)"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
             self._set_aside(unlike)
@@ -247,9 +247,9 @@ class PaintRecorder:
                 self._store.prove()
                 return
             again = self._store.take_back()
-            self._journal.append("refused", text=f"{told[0]}; {len(again)} frames in the dark before it do not count")
+            self._journal.append("refused", text=f"{told[0]}; {len(again)} dark frames before it are not used")
             if is_last:
-                raise SignalChangedError(f"{told[0]}; the dark frames before it do not count")
+                raise SignalChangedError(f"{told[0]}; the dark frames before it are not used")
             self._walk([(s.step, s) for s in missing if s.sequence in again], "dark frames once more", self._take)
 
     def _meter_and_prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:

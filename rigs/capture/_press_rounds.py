@@ -325,7 +325,10 @@ class PressRounds:
         """Return where the press axis stands."""
         places = self._stage.places_mm()
         if places is None:
-            raise RefusedError("stage: its position is unknown; free the pad by hand, then check again")
+            raise RefusedError(
+                "stage: its position is unknown; move the indenter off the pad by hand, then run 'finray check run' "
+                "again"
+            )
         return places[self._settings.press_axis]
 
     def force_stops(self, keep: Callable[..., None]) -> None:

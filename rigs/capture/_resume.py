@@ -433,11 +433,11 @@ def as_before(opened: OpenRig, rig: RigFile, devices: Sequence[DeviceIdentity], 
 def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig) -> None:
     """Ask before a laser that harms eyes is lit again in a session in which it was lost."""
     question = (
-        "The laser was lost when this session ended. Is the box closed, does everybody wear goggles, and may the laser "
-        "be lit again?"
+        "The laser went off or stopped answering before this session ended. Is the box closed, does everybody wear "
+        "goggles, and may the laser be lit again?"
     )
     if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
         raise LightLostError(
-            "laser: was lost in this session, and is not lit again unless a person at the terminal says that the box "
-            "is closed; find out why, close the box, then run the same command in a terminal"
+            "laser: it went off or stopped answering in this session, and is not lit again unless a person at the "
+            "terminal says that the box is closed; find out why, close the box, then run the same command in a terminal"
         )

@@ -72,7 +72,7 @@ FORCE_REACHED: Final = 0.98
 HOMING_WITHIN_S: Final = 60.0
 TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
-PRESS_LESS: Final = "press less deep, or raise force_limit_n if finger and load cell can bear it"
+PRESS_LESS: Final = "press less deeply, or raise force_limit_n if finger and load cell can bear it"
 NOT_CLEAR: Final = "it touches before clear_mm of the rig file, or an axis is reversed: correct them"
 
 
@@ -189,11 +189,11 @@ class StagePress:
         try:
             self._stage.stop()
             if (places := self._stage.places_mm()) is None:
-                told = "its position is unknown after the stop; free the pad by hand, then home it"
+                told = "its position is unknown after the stop; move the indenter off the pad by hand, then home it"
             elif stage.into_pad * (places[stage.press_axis] - stage.clear_mm) < -LEAST_STEP_MM:
                 told = (
                     f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm, and clear_mm = "
-                    f"{stage.clear_mm:g} mm lies from there towards the pad; free the pad by hand"
+                    f"{stage.clear_mm:g} mm lies from there towards the pad; move the indenter off the pad by hand"
                 )
             else:
                 self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, lambda: None)

@@ -502,7 +502,7 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if press.depth_mm > most_mm:
             raise CaptureError(
                 f"{where}: depth_mm = {press.depth_mm:g} is more than the {most_mm:g} mm from clear_mm to the end of "
-                "press_travel_mm; press less deep, or correct the rig file"
+                "press_travel_mm; press less deeply, or correct the rig file"
             )
         low_mm, high_mm = rig.stage.pad_travel_mm
         at_mm = rig.stage.base_mm + rig.stage.from_base * press.position_mm
@@ -623,8 +623,8 @@ class _Recorder:
             f"camera: {shot.label} gives {self._level_dn(raw.counts):.4g} DN on average, but the first image of no "
             f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure (a factor of "
             f"{LARGEST_CHANGE:g} is allowed): the light, the camera's exposure or the room changed, or something "
-            f"still touches the pad; restart the camera, check the light, then resume: the contact before this image "
-            f"is repeated. If the first images are the wrong ones, capture into another folder"
+            "still touches the pad; restart the camera, check the light, then resume. The contact before this image "
+            "is repeated. If the first images are the wrong ones, capture into another folder"
         )
         self._journal.append(CHANGED_EVENT, text=text)
         raise SignalChangedError(text)

@@ -347,7 +347,7 @@ class Guard:
             if missing := self._owner_process.missing():
                 return f"its owner {missing}"
             if time.monotonic() >= self._lease_until_s:
-                return f"its owner sent nothing for {self._lease_s:g} s"
+                return f"the program that switched it on sent nothing for {self._lease_s:g} s"
         return self._watch.trouble(self._lit)
 
     def _listen(self) -> None:

@@ -207,7 +207,7 @@ class Watch:
             return ""
         now_s = time.monotonic()
         if now_s >= self._until_s:
-            return "its owner has not renewed the lease"
+            return "the program that switched it on sent nothing for too long"
         if now_s - self._heard_s >= GUARD_SILENT_S:
             return f"its guard process sent nothing for {GUARD_SILENT_S:g} s"
         return ""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 LightRole = Literal["lamp", "laser"]
 CALL_MARGIN_S: Final = 0.5
-"""A driver says that its deadline is over a little after it is."""
+"""A driver reports a missed deadline slightly after the deadline has passed."""
 THROWN_AWAY: Final = "the light was switched off by hand in the view; the frame under way is discarded"
 
 

@@ -189,7 +189,7 @@ def _limits(name: str, text: str, start: float) -> tuple[float, float]:
 def _usual_limits(name: str, start: float) -> tuple[float, float]:
     """Return the limits of a field that has usual ones."""
     if name not in _USUAL:
-        raise SimulateError(f"--within: {name} has no usual limits; give them as {name}=LOW:HIGH")
+        raise SimulateError(f"--within: {name} has no default limits; give them as {name}=LOW:HIGH")
     low, high, is_relative = _USUAL[name]
     found = sorted((low * start, high * start)) if is_relative else [low, high]
     return min(found[0], start), max(found[1], start)

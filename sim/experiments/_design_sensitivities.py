@@ -214,7 +214,7 @@ def _orders(names: Sequence[str], rows: Sequence[StiffnessRow]) -> Iterator[Stif
             independent_ratio=min(stiffs.values()) / max(softs.values()),
             note=""
             if len(ratios) == len(stiffs) == len(softs)
-            else "dimensions that only one of them has are left out",
+            else "dimensions that only one of the two fingers has are left out",
         )
 
 

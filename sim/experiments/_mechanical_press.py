@@ -242,8 +242,8 @@ def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: Fi
     else:
         return
     raise SimulateError(
-        f"the stored increment is of an older version, whose contact may have acted {other}: its forces and those "
-        "that follow would not belong together. Press from the start: leave out --resume, and give another --out"
+        f"the stored increment is of an older version, whose contact may have acted {other}: its forces would not be "
+        "consistent with those that follow. Press from the start: leave out --resume, and give another --out"
     )
 
 
@@ -370,7 +370,7 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
         return ()
     if pressed.kind != "penalty" or (touched and not short):
         return ()
-    told = f"the force is some {100 * short:.0f} % below the barrier's"
+    told = f"the force is some {100 * short:.0f} % below that with barrier contact"
     if not touched:
         told = (
             "it touches no node, or has passed between them, so that the force comes from the mesh, not from the finger"

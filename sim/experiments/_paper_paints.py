@@ -625,8 +625,8 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
         measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),
         verdict=_verdict([p.paper_fit.residual_rel <= GOOD_FIT_REL for p in paints]),
-        why="between and beyond the bands the equation decides, and real paint differs from it by more than the "
-        "errors of the bands: a fit that assumes it to be exact is far too certain. Our model includes that "
+        why="between and beyond the bands the equation determines the curve, and real paint differs from it by more "
+        "than the errors of the bands: a fit that assumes it to be exact is far too certain. Our model includes that "
         "difference as uncertainty",
     )
 

@@ -189,7 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the halves of the finger's mesh are not mirror images: one cannot train the other")
+        raise SimulateError("the mesh of the finger has no mirror symmetry, so its halves cannot train each other")
     return np.asarray(image)
 
 
@@ -228,7 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("no press can train it: ribs pass through each other in all of them from the start")
+        raise SimulateError("in every press ribs pass through each other from the start, so none can be trained on")
     return whole
 
 
@@ -623,7 +623,7 @@ class SurrogateFinger:
             touch_mm=last.contact.touch_mm,
             unreached="",
             contact="contact on the finger condensed to its coat, frictionless; strains and bending learned from "
-            "presses by the penalty",
+            "presses with penalty contact",
             kind="penalty",
         )
 

@@ -456,7 +456,7 @@ _PRIOR_QUANTILES = 4001
 
 
 _NOTES_OF_EVERY_FIT = (
-    "gain and powers: the design does not know how many DN a unit of light makes, so only products of the gain with "
+    "gain and powers: the design does not state how many DN a unit of light makes, so only products of the gain with "
     "powers are determined, and ratios of powers; a known exposure does not change that",
     f"the smooth error has a correlation length of {CORRELATION_LENGTH:g} of the pad's picture, which is assumed",
     "in tests on rendered fingers of 80 x 60 px the 95 % intervals held the true value in 94 % of the cases, those "

@@ -598,7 +598,7 @@ def _sentence(
     if together is None:
         told = f"All numbers together may vary by more than {factor:.2g} times the given half-ranges before {grown}"
     elif together == 0.0:
-        little = "the emulator explains too little of the variance to find where"
+        little = "the emulator explains too little of the variance to find the factor at which"
         told = f"{len(rows)} numbers need more runs (--runs): {little} {grown}"
     else:
         told = (

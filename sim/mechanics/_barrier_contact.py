@@ -395,7 +395,7 @@ class BarrierPress(DrivenContact):
         own = self.contact.pairs_of_parts(u)
         parts = f"touch each other at {own} pairs" if own else "do not touch each other"
         return (
-            f"contact by a barrier: surfaces keep a gap of less than {reach:g} mm, from which the push is measured "
+            f"barrier contact: surfaces keep a gap of less than {reach:g} mm, from which the push is measured "
             f"(least gap: {self.contact.gap_mm(u):.3g} mm); "
             f"friction {self.contact.barrier.friction_ratio:g} between indenter and finger, none elsewhere; "
             f"the ribs and other parts of the finger {parts}"

@@ -291,7 +291,7 @@ class _Balance:
             step = self._step(normal, touched.stiffness_n_per_mm, out_of_balance)
             touched = self._walk(step, out_of_balance, touched)
         raise SimulateError(
-            f"the contact found no equilibrium in {_MOST_ROUNDS} rounds; press by finite elements, or less deep"
+            f"the contact found no equilibrium in {_MOST_ROUNDS} rounds; press by finite elements, or less deeply"
         )
 
     def _widen(self, touched: TouchedPoints) -> None:

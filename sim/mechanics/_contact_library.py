@@ -32,7 +32,7 @@ def contact_library() -> ModuleType:
     """
     failure = None if _on_trial else contact_library_failure()
     if failure is not None:
-        raise MissingExtraError(f"contact by a barrier is not possible: {failure}")
+        raise MissingExtraError(f"barrier contact is not possible: {failure}")
     return importlib.import_module("ipctk")
 
 

@@ -35,7 +35,7 @@ FloatArray = NDArray[np.float64]
 
 _UNSTABLE = (
     "the equilibrium is about to snap (its stiffness has a negative curvature): it has no derivative that holds over "
-    "any distance; press less deep, or take differences of whole presses"
+    "any distance; press less deeply, or take differences of whole presses"
 )
 
 
@@ -231,13 +231,13 @@ def press_derivatives(
     settings = settings or PressSettings()
     if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
-            "derivatives need a press by the penalty along the pad's normal, without friction, because with "
+            "derivatives need a press with penalty contact along the pad's normal, without friction, because with "
             "friction or a path the force depends on earlier increments; take differences of whole presses"
         )
     if pressed.parts_touch_from_mm is not None:
         raise SimulateError(
-            "derivatives do not hold contact between the parts of a finger, which acted in this press; press less "
-            "deep, or take differences of whole presses"
+            "derivatives leave out contact between parts of the finger, and parts touched in this press; press less "
+            "deeply, or take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}
@@ -323,5 +323,5 @@ def _exact(term: Term) -> PenaltyContact:
         When it is another contact.
     """
     if not isinstance(term, PenaltyContact):
-        raise SimulateError("derivatives need a press by the penalty; press with --contact penalty")
+        raise SimulateError("derivatives need a press with penalty contact; press with --contact penalty")
     return term.with_curvature()

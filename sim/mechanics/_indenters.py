@@ -244,9 +244,9 @@ class PackagedBody:
         ends = self._given(np.concatenate([1e-3 * rays[:1], _SIZES_MM[1] * rays]))[0]
         if ends[0] >= 0.0 or ends[1:].min() <= 0.0:
             raise self._plug_in.refusal(
-                f"is not a closed body around its origin within {_SIZES_MM[1]:g} mm: its distance must be "
-                f"below 0 at the origin and above 0 at {_SIZES_MM[1]:g} mm, and is {ends[0]:.3g} and "
-                f"{ends[1:].min():.3g} mm"
+                f"is not a closed body around its origin within {_SIZES_MM[1]:g} mm: its signed distance must be "
+                f"below 0 at the origin (it is {ends[0]:.3g} mm) and above 0 at {_SIZES_MM[1]:g} mm from it in every "
+                f"direction (the smallest is {ends[1:].min():.3g} mm)"
             )
         radii = self._radii_mm(rays)
         size = float(radii.max())

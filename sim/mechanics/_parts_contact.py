@@ -147,6 +147,7 @@ class PartsContact:
             return of_penalty + self._left_out
         reach, pairs = self._contact.barrier.reach_mm, self._contact.pairs_of_parts(u)
         return (
-            f"{of_penalty.removesuffix(NOT_OF_RIBS)}; parts of the finger keep apart by a barrier, within {reach:g} mm "
-            f"of each other from a push of {from_mm:.4g} mm on; {pairs} pairs touch at the last increment"
+            f"{of_penalty.removesuffix(NOT_OF_RIBS)}; barrier contact acts between parts of the finger, which come "
+            f"within {reach:g} mm of each other from a push of {from_mm:.4g} mm on; {pairs} pairs touch at the last "
+            "increment"
         )

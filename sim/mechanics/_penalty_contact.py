@@ -249,7 +249,7 @@ class PenaltyTouch:
     @property
     def note(self) -> str:
         """How the surfaces touch."""
-        return f"contact by penalty: frictionless; the indenter's distance is exact{NOT_OF_RIBS}"
+        return f"penalty contact: frictionless; the indenter's distance is exact{NOT_OF_RIBS}"
 
     def caveat(self, u: FloatArray) -> str:
         """Return in words that the indenter lies in the coat between the points where contact acts, or nothing."""
@@ -592,7 +592,7 @@ class SlidingTouch(PenaltyTouch):
         """How the surfaces touch."""
         ratio = self.sliding.friction_ratio
         how = f"Coulomb friction {ratio:g}, which follows stick and slip" if ratio > 0.0 else "frictionless"
-        return f"contact by penalty: {how}; the indenter's distance is exact{NOT_OF_RIBS}"
+        return f"penalty contact: {how}; the indenter's distance is exact{NOT_OF_RIBS}"
 
     def energy_n_mm(self, u: FloatArray) -> float:
         """Return the energy that the contact gives back."""

@@ -101,7 +101,7 @@ def chosen_contact(wanted: ContactChoice = "auto") -> ContactKind:
     if wanted != "barrier":
         return "penalty"
     if (failure := contact_library_failure()) is not None:
-        raise MissingExtraError(f"--contact barrier needs the contact by a barrier, and {failure}")
+        raise MissingExtraError(f"--contact barrier is not possible here: {failure}")
     return "barrier"
 
 
@@ -585,12 +585,13 @@ def _pressed_again(
     except NoEquilibriumError as stuck:
         if clean is None:
             raise
-        return replace(clean, unreached=f"{stuck}; by the penalty, {crossing}")
+        return replace(clean, unreached=f"{stuck}; with penalty contact, {crossing}")
     if clean is not None and found.depth_mm[-1] < clean.depth_mm[-1]:
         return replace(
-            clean, unreached=f"contact of all parts came to {found.depth_mm[-1]:.4g} mm; by the penalty, {crossing}"
+            clean,
+            unreached=f"contact of all parts came to {found.depth_mm[-1]:.4g} mm; with penalty contact, {crossing}",
         )
-    return replace(found, contact=f"{found.contact}; by the penalty, which was tried first, {crossing}")
+    return replace(found, contact=f"{found.contact}; with penalty contact, which was tried first, {crossing}")
 
 
 def _take_up(touch: PressContact, share: float, state: State, depth_mm: float) -> None:

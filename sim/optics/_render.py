@@ -542,7 +542,7 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType, settings: RenderSe
     """Refuse what a scalar variant would render wrongly."""
     if renderer.variant() == SCALAR_VARIANT and settings.shared_light:
         raise SimulateError(
-            "light is shared between pixels in compiled variants only; install LLVM 17+, or do not share"
+            "--shared-light needs a compiled variant of Mitsuba; install LLVM 17+, or leave --shared-light out"
         )
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
         raise SimulateError(

@@ -192,8 +192,8 @@ def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ..
     deepest = max(pose.push_mm for pose in path)
     if deepest <= 0.0:
         raise SimulateError(
-            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales "
-            "the pushes to the depths that it draws: give at least one pose with push_mm above 0"
+            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales a "
+            "path so that its deepest push is a randomly drawn depth: give at least one pose with push_mm above 0"
         )
     return tuple(pose.model_copy(update={"push_mm": pose.push_mm * depth_mm / deepest}) for pose in path)
 

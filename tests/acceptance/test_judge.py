@@ -373,12 +373,12 @@ def moved(blocked_dn: float, passed_dn: float) -> StrayLight:
         ({"light_off": BY_CAMERA, "sight": None}, 4.5, "UNDECIDED", "while only the controller reported"),
         # off by its controller, and still a tenth of the light
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"off_dn": 218.0, "threshold_dn": 219.0})}, 4.5,
-         "UNDECIDED", "read another level with the laser off"),
+         "UNDECIDED", "with the laser off the instrument read a level"),
         # other light while dark was learned: behind the filter, and with the beam closed
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_off_dn": 50.0})}, 4.5, "UNDECIDED",
-         "read another level with the laser off"),
+         "with the laser off the instrument read a level"),
         ({"light_off": BY_DIODE, "diode": DIODE.model_copy(update={"off_rel": 0.0})}, 4.5, "UNDECIDED",
-         "read another level with the laser off"),
+         "with the laser off the instrument read a level"),
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"exposure_s": 0.002})}, 4.5, "UNDECIDED",
          "may lie between them"),
         ({"light_off": BY_CAMERA, "sight": SIGHT.model_copy(update={"blocked_on_dn": 1000.0})}, 4.5, "UNDECIDED",

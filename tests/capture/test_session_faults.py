@@ -418,7 +418,7 @@ def test_light_that_is_lost_is_lit_anew_and_the_frame_redone(
     assert doses == sorted(doses)
     lost = [line for line in read_journal(tmp_path) if line["event"] == "light lost"]
     assert len(lost) == 3
-    assert any("a light was lost 3 times" in note for note in session.notes)
+    assert any("a light went off or stopped answering, number of times: 3" in note for note in session.notes)
 
 
 @dataclass
@@ -444,7 +444,10 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     monkeypatch.setattr(exchange, "RELIGHT_PAUSE_S", 0.0)
     hazardous = rig.model_copy(update={"laser": rig.laser.model_copy(update={"laser_class": hazard})})
 
-    message = "laser: was lost, is off, and is not lit again unless a person.*close the box, then continue .* --resume"
+    message = (
+        r"laser: it went off or stopped answering\. It is off now, and is not lit again unless a person"
+        r".*close the box, then continue .* --resume"
+    )
     with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, (8,))
         with pytest.raises(LightLostError, match=message):
@@ -454,7 +457,9 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
     assert laser.asked == 8  # never lit after the loss
     with open_rig(hazardous, Path()) as opened:
         operator, laser = Asked(opened.operator, False), FailingLight(opened.laser, ())
-        with pytest.raises(LightLostError, match=r"was lost in this session.*run the same command in a terminal"):
+        with pytest.raises(
+            LightLostError, match=r"stopped answering in this session.*run the same command in a terminal"
+        ):
             capture(
                 replace(opened, laser=laser, operator=operator), hazardous, small, tmp_path, read_interrupted(tmp_path)
             )
@@ -465,7 +470,7 @@ def test_a_hazardous_laser_that_was_lost_stays_dark_until_a_person_allows_it(
         capture(failing, hazardous, small, tmp_path, read_interrupted(tmp_path))
         assert dark(opened)
     assert len(operator.questions) == 2
-    assert "was lost when this session ended" in operator.questions[0]
+    assert "stopped answering before this session ended" in operator.questions[0]
     assert "was the box opened?" in operator.questions[1]
     assert laser.asked > 8
 
@@ -526,7 +531,7 @@ def test_a_guard_that_is_killed_leaves_a_hazardous_laser_dark_until_a_person_all
         assert not (light / "on").exists()
     assert was_on == [False]
     assert "the guard process has ended" in person.questions[0]
-    assert any("a light was lost 1 times" in note for note in session.notes)
+    assert any("a light went off or stopped answering, number of times: 1" in note for note in session.notes)
 
 
 @pytest.mark.parametrize("hazard", ["1", "2", "2M"])

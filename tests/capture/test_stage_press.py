@@ -645,7 +645,9 @@ def test_stage_that_stops_beyond_clear_mm_does_not_flee_into_the_pad(bench, tmp_
     # a tenth of the limit, one step of 0.1 mm into 4 N/mm, and another where a busy computer reads late
     assert bench.strongest_n <= 0.4 + 2 * 0.4
     assert bench.controller.at_mm["Z"] > -2.0
-    assert "lies from there towards the pad; free the pad by hand" in journal_of(tmp_path, "stage after stop")
+    assert "lies from there towards the pad; move the indenter off the pad by hand" in journal_of(
+        tmp_path, "stage after stop"
+    )
     ways = [float(line.partition("G53Z")[2].partition("F")[0]) for line in bench.controller.lines if "G53Z" in line]
     assert max(sooner - later for sooner, later in pairwise([0.0, *ways])) <= 0.1 + 1e-9
 

@@ -126,7 +126,7 @@ def test_notes_tell_the_stand_in():
 def test_friction_is_told_as_unverified():
     indenter = FingerDesign().indenter.model_copy(update={"friction": 0.3})
     notes = calculix_notes(FingerDesign().model_copy(update={"indenter": indenter}))
-    assert any(note.startswith("friction 0.3 with CalculiX' own stick slope, not verified") for note in notes)
+    assert any(note.startswith("friction 0.3, with a stick slope of a tenth of the contact") for note in notes)
 
 
 def test_a_missing_program_is_named(monkeypatch, tmp_path):

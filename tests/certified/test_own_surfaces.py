@@ -121,7 +121,7 @@ def test_a_press_whose_ribs_meet_begins_again_with_the_barrier():
     pressed = press_finger(SMALL, PressSettings(increments=2), progress=lambda *at: told.append(at[2]))
     assert (pressed.kind, pressed.crossing) == ("barrier", "")
     assert pressed.depth_mm == pytest.approx([0.3, 0.6])
-    assert "by the penalty, which was tried first, from a push of 0.6 mm on the finger" in pressed.contact
+    assert "with penalty contact, which was tried first, from a push of 0.6 mm on the finger" in pressed.contact
     assert any("pressing again with contact of all parts" in what for what in told)
     whole = press_finger(SMALL, PressSettings(increments=2, contact="barrier"))
     assert pressed.force_n == pytest.approx(whole.force_n, rel=1e-9, abs=1e-9)
@@ -217,10 +217,12 @@ def test_parts_that_come_near_keep_apart_from_there_on():
     assert parts.energy_n_mm(states[0.25]) == 0.0
     assert parts.energy_n_mm(states[1.0]) > 0.0
     assert "within 0.02 mm of each other before a push of 5 mm" in told[0]
-    of_penalty = "by penalty; contact between ribs is not computed"
+    of_penalty = "penalty contact; contact between ribs is not computed"
     assert parts.note(of_penalty, states[1.0], None) == of_penalty
     said = parts.note(of_penalty, states[1.0], 5.0)
-    assert said.startswith("by penalty; parts of the finger keep apart by a barrier, within 0.02 mm of each other from")
+    assert said.startswith(
+        "penalty contact; barrier contact acts between parts of the finger, which come within 0.02 mm"
+    )
     assert re.search(r"from a push of 5 mm on; [1-9]\d* pairs touch at the last increment", said)
 
 
@@ -252,7 +254,7 @@ def test_a_press_that_lacks_contact_where_parts_were_near_says_so():
         parts = PartsContact(preset_design("flat-70x35"), mesh, assembly, 1, states[at])
         parts.check_start(7.5)
         parts.take_up(State(states[at], ()), 7.5)
-        note = parts.note(f"contact by penalty{NOT_OF_RIBS}", states[at], None)
+        note = parts.note(f"penalty contact{NOT_OF_RIBS}", states[at], None)
         assert ("were within 0.02 mm of each other already" in note) is near
         assert ("of a version before 7" in note) is near
 

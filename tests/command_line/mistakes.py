@@ -477,7 +477,7 @@ CASES = (
     Case(
         "study into a file",
         "study run {tmp}/plan.toml --out {lab}/bands.json",
-        r"bands\.json: is a file, where a folder is written; choose another --out",
+        r"bands\.json: is a file, but a folder is to be written there; choose another --out",
         file("plan.toml", STUDY),
     ),
     Case(
@@ -681,7 +681,7 @@ CASES = (
     Case(
         "a surrogate of a press to a force",
         MECHANICS + " --surrogate {tmp}/none.json --force 2",
-        r"--surrogate answers a press along the pad's normal, without friction; leave it out, or --force",
+        r"--surrogate computes only a press along the pad's normal, without friction; leave it out, or leave out --f",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(

@@ -121,18 +121,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
+            "out, or leave out --force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
+            "out, or leave out --force",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter from first touch with the penalty and finray's own elements; leave it out, or "
-            "leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
+            "out, or leave out --force",
         ),
     ],
 )
@@ -260,8 +260,8 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
             "--seed 1",
             r"finray simulate: error: 'finray simulate press' does not take --seed 1; .* --help' lists what can be",
         ),
-        ("", "--force 2 --contact barrier", r"--force presses from first touch with the penalty"),
-        ("", "--force 2 --resume d.increments", r"--force presses from first touch with the penalty"),
+        ("", "--force 2 --contact barrier", r"--force presses from first touch with penalty contact"),
+        ("", "--force 2 --resume d.increments", r"--force presses from first touch with penalty contact"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
         ("friction = 0.3", "--force 2", r"a press to a force works without friction and for indenters of simple shape"),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it belongs to a cuboid"),

@@ -142,4 +142,4 @@ def test_finite_elements_go_without(absent: Path, tmp_path: Path) -> None:
     assert "Coulomb friction 0.3, which follows stick and slip" in stored
     done = run_plain(absent, tmp_path, "simulate press rough.toml --contact barrier --out other.press.json")
     assert done.returncode == 2
-    assert "--contact barrier needs the contact by a barrier, and ipctk is not installed" in done.stderr
+    assert "--contact barrier is not possible here: ipctk is not installed" in done.stderr

@@ -136,7 +136,10 @@ def test_without_known_inputs_intervals_come_from_parts():
     assert report.exposure_factor_sd is None
     assert report.objective_error is None
     assert any("no input of strip has a known uncertainty" in line for line in report.withheld)
-    assert "the render holds no halves: its noise stays in its errors" in report.notes
+    assert (
+        "the render was not stored as two independent halves, so its noise is not known and stays in its errors"
+        in report.notes
+    )
 
 
 def test_without_a_repeat_neither_floor_nor_noise_is_known(pair):

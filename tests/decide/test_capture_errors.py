@@ -177,7 +177,9 @@ def test_reports_of_one_source_share_their_draws():
 def test_an_unstated_uncertainty_of_the_angle_is_assumed_and_named():
     found, notes = capture_errors(sweep_record(), [report("a", 10.0, objective_error(np.zeros(3)), None)])
     assert found.angle_sd_deg.tolist() == [UNSTATED_ANGLE_SD_DEG]
-    assert notes == ("angle of the light, standard uncertainty assumed 2 deg: a",)
+    assert notes == (
+        "the standard uncertainty of the light's angle is assumed to be 2 deg for these captures, which state none: a",
+    )
 
 
 def test_no_report_is_no_capture():

@@ -31,7 +31,7 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert decision.statement.regret_95 > 10 * decision.statement_simulation_only.regret_95
     assert decision.mean == pytest.approx(decision.mean_simulation_only, rel=1e-12)
     assert (decision.high95 - decision.low95 > decision.high95_simulation_only - decision.low95_simulation_only).all()
-    assert any("until one does, the error is taken to be a curve that is moved" in note for note in decision.notes)
+    assert any("Until one does, the simulated curve is assumed to be shifted" in note for note in decision.notes)
     assert "it stays undecided until one does" in decision.sentence
     assert decision.sentence.startswith(decision.headline)
     assert decision.headline.startswith("For one place only (35 mm from the base), for now, mount the light at 3")

@@ -88,6 +88,7 @@ def test_what_lies_outside_is_said():
         "10 mm radius; "
         "other places, depths and objects were not simulated."
     )
+    assert "along the pad, 3 mm from the middle line, 1.5" in outside(touches(0.0, across_mm=3.0), Indenter())
     wide = [*touches(0.0), *touches(0.0, across_mm=3.0, depth_mm=3.0)]
     assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, Indenter())
 
@@ -102,10 +103,9 @@ def test_without_captures_nothing_is_decided_and_the_next_one_is_named():
     found = decision_sentence(decision(), NONE, 0.02, None, Proposal(70.0, 0.01, 0.02))
     assert found == (
         "This is the simulation's answer; no capture has checked it, and it stays undecided until one does. It is "
-        "assumed that "
-        "the finger's curve may be moved by some 5 deg and be off by 10 % (95 %: 4 % to 30 %) at each angle. With a "
-        "probability of 0.96 no other angle is better by more than 2 %, with 0.95 none by more than 1.6 %, and with "
-        "0.50 "
+        "assumed that the real curve over the angle may be shifted by some 5 deg and be off by 10 % (95 %: 4 % to "
+        "30 %) at each angle. With a probability of 0.96 no other angle is better by more than 2 %, with 0.95 none by "
+        "more than 1.6 %, and with 0.50 "
         "the best angle lies within 5 deg. Capture next with the light at 70 deg."
     )
 

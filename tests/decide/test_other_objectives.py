@@ -45,7 +45,7 @@ def test_only_allowed_angles_compete():
     other = other_optimum(ANGLES_DEG, objective(30.0, True), 75.0, TOLERANCE_REL, np.random.default_rng(3), allowed)
     assert other.best_deg == pytest.approx(60.0)
     assert other.at_range_end
-    assert "60 deg, the end of what the sweep allows, with" in str(other)
+    assert "60 deg (the end of the allowed angles) with" in str(other)
     # 1 - 0.5 / 4 at 75 deg over 1 - 0.5 / 9 at 60 deg
     assert other.loss_rel == pytest.approx(1.0 - 0.875 / (1.0 - 0.5 / 9.0), abs=0.005)
 

@@ -12,11 +12,13 @@ from html_page import TRUST, Page, assert_stands_alone, contrast, least_contrast
 
 from data_schemas import Interval, Provenance, RecordError
 from data_schemas.storage import write_record
+from finray_calib.compare._comparison_record import COVERS_INPUTS, COVERS_PARTS
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports import comparison_page, headline
 from finray_calib.reports._comparison_figures import budget_figure, cause_figure
 from finray_calib.reports._comparison_statements import budget_table, judged_skill, metric_table, validation_table
 from finray_calib.reports._images import LARGEST_PIXELS, touch_changes, touch_pictures
+from finray_calib.reports._methods import comparison_methods
 from finray_calib.reports._page import images_table
 from tests.command_line.running import finray
 
@@ -204,6 +206,21 @@ def test_what_the_numbers_do_not_know_is_said(page):
         "one exposure factor, the same for all channels, known to 0.2 %",
     ):
         assert text in plain(page)
+
+
+@pytest.mark.parametrize(
+    ("stored", "said"),
+    [
+        (COVERS_INPUTS, "The 95 % intervals cover the metric that"),
+        (COVERS_PARTS, "The intervals show how much a number depends on"),
+        ("these intervals show how much a number depends on the pixels", "These intervals show how much a number"),
+        ("how much a number depends on which part of the region", "The intervals cover how much a number depends on"),
+    ],
+)
+def test_what_the_intervals_cover_is_a_sentence_also_in_older_reports(stored, said):
+    report = REPORT.model_copy(update={"interval_covers": stored})
+    assert words.limits(report)[0].startswith(said)
+    assert f" {said}" in f" {comparison_methods(report)[1]}"
 
 
 def test_a_comparison_of_encoded_values_tells_what_is_missing():

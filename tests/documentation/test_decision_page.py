@@ -102,7 +102,7 @@ def test_what_the_renders_alone_say_is_said_of_their_own_angle():
 def test_at_the_end_of_the_sweep_nothing_is_promised():
     html = page_of(example_decision("undecided").model_copy(update={"at_range_end": True}))
     text = plain(html)
-    assert "The optimum may lie outside the sweep: widen it." in text
+    assert "The optimum may lie outside the sweep: widen the sweep." in text
     assert "Next: simulate a sweep that goes beyond 32 deg, and decide again." in text
     for absent in ("On the drawing", "Risk:", "Mounting tolerance", "Next render", "More angles or more repeats"):
         assert absent not in text
@@ -348,7 +348,7 @@ def test_a_decision_on_the_normal_shows_its_error_and_what_others_cost():
     html = decision_page(over_places(aim="normal", other_objectives=(normal,)), [SWEEP] * 3, COMMAND, DIGESTS)
     text = plain(html)
     for told in (
-        "How much larger the error of the sensed normal is than at the best angle for its own place",
+        "how much larger the error of the sensed normal is than at the best angle for that place (expected value)",
         "8 mm 33 % 63 deg 28 % 108 %",
         "Marks on the pad: the places that were looked at",
         "brightness 62 deg 25 % 21 % [17 %, 25 %] yes",

@@ -150,7 +150,7 @@ def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
         ),
         ("px_per_mm = 10.0", "px_per_mm = 0.1", r"a pixel is 10 mm wide, .*perhaps it should be mm_per_px = 0\.1"),
         ("9.2", "0.0092", r"larger than the ball's 0\.046 px"),
-        ('"x", row_px = "y"', '"y", row_px = "x"', r"presses change .* times as much .* with row and column exchanged"),
+        ('"x", row_px = "y"', '"y", row_px = "x"', r"presses change more .* with row and column exchanged"),
         ('"rest.png"', '"rest.png"\nrepeat_file = "rest.png"', r"are one picture, pixel by pixel"),
         (
             "[scale]",

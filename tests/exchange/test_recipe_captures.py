@@ -579,7 +579,8 @@ def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path,
         save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
     text = PRISM.replace("depth_mm = { a = 0.5, b = 1.0 }", key)
     if "bb" in key:
-        with pytest.raises(ImportFormatError, match=r"indenter\.depth_mm names 'bb', which is no press .* and not 'b'"):
+        named = r"indenter\.depth_mm names 'bb', which is not a press .* but does not name 'b'"
+        with pytest.raises(ImportFormatError, match=named):
             read_by_recipe(tmp_path, recipe(text))
         return
     found = read_by_recipe(tmp_path, recipe(text.replace('leave_out = ["rest"]', 'leave_out = ["rest", "tset"]')))

@@ -244,7 +244,7 @@ def test_a_seed_of_numpy_is_a_seed(lab):
 
 def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_path):
     for wrong in (None, 7, np.nan):
-        with pytest.raises(RecordError, match="bands: a list is needed, each a BandSignals or the path"):
+        with pytest.raises(RecordError, match="bands: a list is needed, each element a BandSignals or the path"):
             finray.fit_paint(wrong)
     for path in (lab / "bands.json", str(lab / "bands.json")):
         with pytest.raises(RecordError, match=r"other_lights: a list is needed, .*; a single path was given"):

@@ -83,7 +83,7 @@ def change(name, **parameters):
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ([], r"is not a JSON object, which a tuning file must be"),
+        ([], r"is not a JSON object; give the tuning file that libcamera has"),
         ({"version": 3.0, "algorithms": []}, r"has version 3.0; versions below 3"),
         ({"version": 2.0, "algorithms": {}}, r"version 2 needs a list 'algorithms'"),
         ({"version": 1.0, "camera": {}}, r"holds no 'rpi.' algorithm"),

@@ -134,7 +134,10 @@ def test_matrix_header(tmp_path):
     [
         ("wavelength_nm,r,g,b\n400,1,1,1\n410,1,1,1\n", "a camera response needs wavelength_nm,red_percent"),
         ("wavelength_nm,red_percent,green_percent,blue_percent\n400,1,-1,1\n410,1,1,1\n", "must not be negative"),
-        ("wavelength_nm,red_percent,green_percent,blue_percent\n400,1,0,1\n410,1,0,1\n", "zero everywhere"),
+        (
+            "wavelength_nm,red_percent,green_percent,blue_percent\n400,1,0,1\n410,1,0,1\n",
+            "column 'green_percent' is 0 in all rows",
+        ),
         ("wavelength_nm,red_percent,green_percent,blue_percent\n410,1,1,1\n400,1,1,1\n", "must increase"),
     ],
 )

@@ -53,7 +53,7 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
         ("light.position_mm=-14:-7", "for a place, name its coordinate, as in light.position_mm[y]"),
         ("camera.position_mm[y]=-14:-7", "write it into the design file first"),
         ("pad.shape=0:1", "is 'flat', which is not a number"),
-        ("coating.diffuse_share", "has no usual limits; give them as coating.diffuse_share=LOW:HIGH"),
+        ("coating.diffuse_share", "has no default limits; give them as coating.diffuse_share=LOW:HIGH"),
     ],
 )
 def test_a_parameter_that_cannot_be_varied_is_refused(text: str, told: str) -> None:

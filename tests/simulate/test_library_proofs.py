@@ -103,7 +103,7 @@ def no_library(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_library")
 def test_without_the_library_only_the_barrier_is_refused() -> None:
     assert chosen_contact() == "penalty"
-    with pytest.raises(MissingExtraError, match=r"^--contact barrier needs the contact by a barrier, and ipctk 9 does"):
+    with pytest.raises(MissingExtraError, match=r"^--contact barrier is not possible here: ipctk 9 does"):
         chosen_contact("barrier")
 
 

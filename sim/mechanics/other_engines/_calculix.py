@@ -245,7 +245,14 @@ def calculix_notes(design: FingerDesign) -> tuple[str, ...]:
     return (
         *deck_materials(finger_materials(design), "calculix").notes,
         "C3D8R for the gel, C3D8I elsewhere",
-        *([f"friction {friction:g} with CalculiX' own stick slope, not verified here"] if friction > 0.0 else []),
+        *(
+            [
+                f"friction {friction:g}, with a stick slope of a tenth of the contact stiffness; CalculiX results with "
+                "friction are not verified"
+            ]
+            if friction > 0.0
+            else []
+        ),
     )
 
 

@@ -426,7 +426,8 @@ class TestLightInAFile:
         with (
             guarded_light("laser", "indi", str(folder), lease_s=1.5) as light,
             pytest.raises(
-                LostError, match=r"its owner sent nothing for 1\.5 s.*confirmed that the light is off.*--resume"
+                LostError,
+                match=r"program that switched it on sent nothing for 1\.5 s.*confirmed that the light is off.*--resume",
             ),
         ):
             work(light)
