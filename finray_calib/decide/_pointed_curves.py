@@ -16,10 +16,10 @@ from finray_calib.decide._gaussian_process import CurvePosterior, CurvePrior, Ob
 
 Floats = NDArray[np.float64]
 
-#: A curve has a pointed place with this probability, at any angle of the grid, with any of the exponents. A cusp between
-#: two angles of a sweep looks like a hill; with 1/2 and without the sharper cusp too few losses are within their bounds.
+#: A curve has a pointed place with this probability, at any angle of the grid, with any of the exponents. A cusp
+#: between two angles of a sweep looks like a hill; with 1/2, and without the sharper cusp, its odds are 0.1 higher.
 POINTED_PROBABILITY = 0.75
-#: Beside the pointed place the curve goes as the distance to this power: a cusp sharper than a root, a root, and a kink.
+#: Beside the pointed place the curve goes as the distance to this power: a sharper cusp, a root, and a kink.
 EXPONENTS = (0.3, 0.5, 1.0)
 #: Standard deviation of what it adds at this distance: lognormal, median 20 % of the mean curve, log sd 1.
 SIZE_AT_DEG = 30.0
