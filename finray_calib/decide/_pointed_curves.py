@@ -16,11 +16,10 @@ from finray_calib.decide._gaussian_process import CurvePosterior, CurvePrior, Ob
 
 Floats = NDArray[np.float64]
 
-#: A curve has a pointed place with this probability, at any angle of the grid, with any of the exponents. A cusp
-#: between two angles of a sweep looks like a hill; with 1/2, and without the sharper cusp, its odds are 0.1 higher.
-POINTED_PROBABILITY = 0.75
-#: Beside the pointed place the curve goes as the distance to this power: a sharper cusp, a root, and a kink.
-EXPONENTS = (0.3, 0.5, 1.0)
+#: A curve has a pointed place with this probability, at any angle of the grid, with either exponent.
+POINTED_PROBABILITY = 0.5
+#: Beside the pointed place the curve goes as the distance to this power: a cusp, and a kink.
+EXPONENTS = (0.5, 1.0)
 #: Standard deviation of what it adds at this distance: lognormal, median 20 % of the mean curve, log sd 1.
 SIZE_AT_DEG = 30.0
 POINTED_SIZE_REL, POINTED_SIZE_LOG_SD = 0.2, 1.0
@@ -31,7 +30,7 @@ SIZES_REL = np.geomspace(0.05, 0.8, 4)
 class PointedPosterior:
     """Hold what observations say about one random curve that may have a pointed place.
 
-    The curve is a Gaussian process with an unknown constant, `smooth`, plus, with a probability of 3/4, b_1 |d|^p
+    The curve is a Gaussian process with an unknown constant, `smooth`, plus, with a probability of 1/2, b_1 |d|^p
     before and b_2 |d|^p beyond a place from which the angle is d away. Place, exponent and size of b are summed over,
     like smoothness, length and amplitude of the process; b_1 and b_2 are independent and normal.
 
@@ -150,16 +149,15 @@ def pointed_posterior(prior: CurvePrior, seen: Observations, grid_deg: Floats) -
     sides = np.concatenate([_beside(angles, grid_deg, exponent) for exponent in EXPONENTS], axis=1)
     at_seen = sides[grid_deg.size :]
     shape = (len(smooth.parts), prior.amplitudes_rel.size, sides.shape[1], 2)
-    precision, pull, ln_gain = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape[:3], SIZES_REL.size))
-    ln_size = -0.5 * (np.log(SIZES_REL / POINTED_SIZE_REL) / POINTED_SIZE_LOG_SD) ** 2
+    precision, pull = np.empty((*shape, 2)), np.empty(shape)
     for number, part in enumerate(smooth.parts):  # by itself: together they hold hundreds of MB
         solved = np.einsum("anm,mfi->anfi", part.solve, at_seen, optimize=True)
         precision[number] = np.einsum("nfi,anfj->afij", at_seen, solved, optimize=True)
         pull[number] = np.einsum("n,anfi->afi", seen.values, solved, optimize=True)
-        own = precision[number][:, :, None]
-        mean = _mean_of_sizes(own, pull[number][:, :, None], SIZES_REL)
-        ln_gain[number] = 0.5 * np.einsum("afsi,afi->afs", mean, pull[number]) - 2 * np.log(SIZES_REL)
-        ln_gain[number] -= 0.5 * np.log(_with_prior(own, SIZES_REL)[3])
+    ln_size = -0.5 * (np.log(SIZES_REL / POINTED_SIZE_REL) / POINTED_SIZE_LOG_SD) ** 2
+    mean = _mean_of_sizes(precision[:, :, :, None], pull[:, :, :, None], SIZES_REL)
+    ln_gain = 0.5 * np.einsum("pafsi,pafi->pafs", mean, pull) - 2 * np.log(SIZES_REL)
+    ln_gain -= 0.5 * np.log(_with_prior(precision[:, :, :, None], SIZES_REL)[3])
     ln_gain += ln_size - np.log(np.exp(ln_size).sum() * sides.shape[1])
     ln_plain = np.array([part.ln_weight for part in smooth.parts])
     ln_pointed = ln_gain + ln_plain[..., None, None]

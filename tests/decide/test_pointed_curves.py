@@ -25,7 +25,7 @@ def dense():
     """Mean and covariance on GRID: every node is one joint normal, the constant one more variable of huge variance."""
     everything = np.concatenate([ANGLES, GRID])
     ln_weights, means, squares = [], [], []
-    places = [(exponent, place, 0.75 / 15) for exponent in (0.3, 0.5, 1.0) for place in GRID]
+    places = [(0.5, place, 0.5 / 10) for place in GRID] + [(1.0, place, 0.5 / 10) for place in GRID]
     sizes = module.SIZES_REL
     ln_size = -0.5 * (np.log(sizes / 0.2) / 1.0) ** 2
     pointed = [
@@ -33,7 +33,7 @@ def dense():
         for exponent, place, share in places
         for size, ln in zip(sizes, ln_size, strict=True)
     ]
-    for exponent, place, size, ln_prior in [*pointed, (1.0, 0.0, 0.0, np.log(0.25))]:
+    for exponent, place, size, ln_prior in [*pointed, (1.0, 0.0, 0.0, np.log(0.5))]:
         side = np.where(everything > place, 1.0, -1.0)
         power = (np.abs(everything - place) / 30) ** exponent
         # two sides without correlation
