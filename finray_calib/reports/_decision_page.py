@@ -582,7 +582,10 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
     if decision.next_render is not None or len(decision.contacts) < 2:  # over several places none is looked for
         told.append(_next_sentence(decision, "render", decision.next_render))
     if decision.next_capture is None and decision.aim == "normal":
-        told.append("Next capture: none is proposed; captures show the brightness, not the error of the normal.")
+        told.append(
+            "Next capture: none is proposed. Captures show the brightness; with reports on them the decision is on "
+            "that, not on the error of the normal."
+        )
     elif decision.next_capture is None and decision.verdict == "needs captures":
         told.append(
             "Next capture: none alone is expected to change the angle. Several, at places and angles without one, "

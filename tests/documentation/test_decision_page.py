@@ -128,7 +128,7 @@ def test_what_to_do_next_does_not_contradict_the_verdict():
     (told,) = words.next_sentences(several)
     assert told.startswith("Next capture: none alone is expected to change the angle. Several, ")
     normal = several.model_copy(update={"aim": "normal"})
-    assert "not the error of the normal" in " ".join(words.next_sentences(normal))
+    assert "not on the error of the normal" in " ".join(words.next_sentences(normal))
     assert words.next_sentences(DECISION.model_copy(update=nothing)) == (
         "Next render: none is expected to change the decision.",
         "Next capture: none is expected to change the decision.",
