@@ -107,11 +107,11 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
     decided = KeyNumber("The angle is", what, f"{angle:.0f} deg", light, why)
     loss = light_of(claim.regret_95 <= decision.tolerance_rel, is_bad=claim.expected_regret > decision.tolerance_rel)
     limit = f"the {tolerance} that count as equal"
-    reasons = {"good": f"below {limit}", "care": f"it may exceed {limit}", "bad": f"the average exceeds {limit}"}
+    reasons = {"good": f"below {limit}", "care": f"it may exceed {limit}", "bad": f"the expected loss exceeds {limit}"}
     most = KeyNumber(
         "Another angle may be better",
         f"by {percent(claim.expected_regret)}",
-        f"on average; by at most {percent(claim.regret_95)} with 95 % probability",
+        f"expected; at most {percent(claim.regret_95)} with 95 % probability",
         loss,
         reasons[loss],
     )
@@ -340,7 +340,7 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
 
 def _next(decision: LightAngleDecision) -> Part:
     """Show what to do next."""
-    lead = "What to add if a smaller risk is wanted: the one render and the one capture that are expected to help most."
+    lead = "What to add if a smaller risk is wanted."
     return Part("What would help most", Content(lead, remarks=next_sentences(decision)))
 
 
@@ -483,6 +483,11 @@ def equivalent_text(statement: AngleStatement) -> str:
     return ", ".join(ranges) or "none"
 
 
+def _equivalent(statement: AngleStatement) -> str:
+    """Return in words which angles are equivalent."""
+    return f"equivalent: {equivalent_text(statement)}" if statement.equivalent_deg else "no angle is surely equivalent"
+
+
 def tolerance_text(statement: AngleStatement, angle_deg: float) -> str:
     """Return how far the mounted angle may be off: the equivalent range that holds the chosen angle."""
     for low, high in statement.equivalent_deg:
@@ -528,8 +533,8 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
         f"{part} of this decision. By the renders alone it would be {decision.angle_simulation_only_deg:.0f} deg, with "
-        f"a loss {_up_to(alone.regret_95)} with 95 % probability (equivalent: {equivalent_text(alone)}); with "
-        f"captures it is {decision.angle_deg:.0f} deg and {percent(both.regret_95)} ({equivalent_text(both)})."
+        f"a loss {_up_to(alone.regret_95)} with 95 % probability ({_equivalent(alone)}); with captures it is "
+        f"{decision.angle_deg:.0f} deg, with a loss of at most {percent(both.regret_95)} ({_equivalent(both)})."
     )
 
 
@@ -575,17 +580,32 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
     if decision.at_range_end:
         return (f"Next: simulate a sweep that goes beyond {decision.angle_deg:.0f} deg, and decide again.",)
     told = []
-    for what, proposal in (("Next render", decision.next_render), ("Next capture", decision.next_capture)):
-        if proposal is None:
-            told.append(f"{what}: none is expected to change the decision.")
-        else:
-            told.append(
-                f"{what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
-                "expected gain on average: "
-                f"{percent(proposal.gain_rel)} of the signal (assumed: an observation is good to "
-                f"{percent(proposal.noise_rel)})."
-            )
+    if decision.next_render is not None or len(decision.contacts) < 2:  # over several places none is looked for
+        told.append(_next_sentence(decision, "render", decision.next_render))
+    if decision.next_capture is None and decision.aim == "normal":
+        told.append(
+            "Next capture: none is proposed. Captures show the brightness; with reports on them the decision is on "
+            "that, not on the error of the normal."
+        )
+    elif decision.next_capture is None and decision.verdict == "needs captures":
+        told.append(
+            "Next capture: none alone is expected to change the angle. Several, at places and angles without one, "
+            "would show more surely what may be lost."
+        )
+    else:
+        told.append(_next_sentence(decision, "capture", decision.next_capture))
     return tuple(told)
+
+
+def _next_sentence(decision: LightAngleDecision, what: str, proposal: AngleProposal | None) -> str:
+    """Say which render or capture would help most, and how much."""
+    if proposal is None:
+        return f"Next {what}: none is expected to change the decision."
+    return (
+        f"Next {what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
+        f"expected gain on average: {percent(proposal.gain_rel)} of the signal (assumed: an observation is good to "
+        f"{percent(proposal.noise_rel)})."
+    )
 
 
 def _place(decision: LightAngleDecision, proposal: AngleProposal) -> str:

@@ -47,7 +47,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "Mount the light at 32 deg",
         "32 deg: true optimum within 5 deg with probability 0.71",
         "None better by more than 2 % 0.97 probability \u2713 good : a decision needs 0.95",
-        "Another angle may be better by 0.3 % on average; by at most 1.4 % with 95 % probability",
+        "Another angle may be better by 0.3 % expected; at most 1.4 % with 95 % probability",
         "0 deg along the pad towards the tip, 90 deg straight into it",
         "On the drawing: 32 deg, -7 / +7 deg. At each angle inside this tolerance at most 2 % of the signal is lost",
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
@@ -115,6 +115,30 @@ def test_the_light_of_the_loss_follows_the_tolerance(expected, most, light):
     claim = DECISION.statement.model_copy(update={"expected_regret": expected, "regret_95": most})
     html = page_of(DECISION.model_copy(update={"statement": claim}))
     assert f'<div class="{light}"><dt>Another angle may be better</dt>' in html
+
+
+def test_what_to_do_next_does_not_contradict_the_verdict():
+    """Over several places no render is looked for; where captures are needed, it is not said that none would help."""
+    contact = DecidedContact(
+        sweep="a", shape="ball", position_mm=10.0, across_mm=0.0, depth_mm=1.0, weight_share=0.5, best_deg=30.0,
+        loss_rel=0.0, loss_95_rel=0.1,
+    )  # fmt: skip
+    nothing = {"next_render": None, "next_capture": None}
+    several = example_decision("needs captures").model_copy(update={**nothing, "contacts": (contact, contact)})
+    (told,) = words.next_sentences(several)
+    assert told.startswith("Next capture: none alone is expected to change the angle. Several, ")
+    normal = several.model_copy(update={"aim": "normal"})
+    assert "not on the error of the normal" in " ".join(words.next_sentences(normal))
+    assert words.next_sentences(DECISION.model_copy(update=nothing)) == (
+        "Next render: none is expected to change the decision.",
+        "Next capture: none is expected to change the decision.",
+    )
+
+
+def test_losses_that_are_equal_to_no_angle_are_said_in_words():
+    claim = DECISION.statement.model_copy(update={"equivalent_deg": ()})
+    said = words.capture_sentence(DECISION.model_copy(update={"statement": claim}))
+    assert said.endswith("with captures it is 32 deg, with a loss of at most 1.4 % (no angle is surely equivalent).")
 
 
 def test_the_end_of_a_sweep_is_never_green():
