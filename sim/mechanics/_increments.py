@@ -213,7 +213,7 @@ class _Search:
             return replace(reached, failure=self.load.refuse(reached.state, share))
         return reached
 
-    def touched(self, state: State, at: float, aim: float, supports: Supports) -> State | None:
+    def touched(self, state: State, last_share: float, share: float, supports: Supports) -> State | None:
         """Return the linear answer to a share of the load in which a tenth of the way decides what touches, or nothing.
 
         A rigid body that is moved in all at once touches far more than it does in the end, and Newton's method lets go
@@ -221,9 +221,9 @@ class _Search:
         """
         if self.load.hold is None:
             return None
-        held = self.load.hold(state, at + _TOUCHING * (aim - at), aim)
+        held = self.load.hold(state, last_share + _TOUCHING * (share - last_share), share)
         found = self._linear(state, supports.fixed.ravel()) if held else None
-        self.load.at(aim)
+        self.load.at(share)
         return found
 
     def _linear(self, state: State, fixed: NDArray[np.bool_]) -> State | None:
@@ -298,8 +298,7 @@ def load_increments(
     predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
-        part = 1.0
-        done = 0.0
+        part, done = 1.0, 0.0
         while done < 1.0:
             part = min(part, 1.0 - done)
             aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
