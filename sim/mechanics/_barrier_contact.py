@@ -258,7 +258,8 @@ class Drive:
     """A :class:`~sim.mechanics._assembly.Term` that pulls one displacement to a target: k/2 (u - t)^2 + l (u - t).
 
     A prescribed motion would stop where the barrier's step limit does, far from any equilibrium; a stiff spring gives
-    the way there an energy. Its force l is renewed until the target is met.
+    the way there an energy. Its force l is renewed until the target is met, and is foreseen for the next target on the
+    straight line through the last two.
 
     Parameters
     ----------
@@ -273,6 +274,18 @@ class Drive:
     def __init__(self, node: int, axis: int, stiffness_n_per_mm: float = 1e4, met_mm: float = 1e-4) -> None:
         self.target_mm = 0.0
         self._node, self._axis, self._k, self._met, self._force = node, axis, stiffness_n_per_mm, met_mm, 0.0
+        self._kept = [(0.0, 0.0)]  # targets and forces of the last two accepted states
+
+    def aim(self, target_mm: float) -> None:
+        """Set the target of an increment that begins, or begins again, where the last accepted state is."""
+        self.target_mm = target_mm
+        (before, weaker), (now, self._force) = self._kept[0], self._kept[-1]
+        if now != before:
+            self._force += (self._force - weaker) / (now - before) * (target_mm - now)
+
+    def keep(self) -> None:
+        """Remember target and force of a state that is accepted."""
+        self._kept = [self._kept[-1], (self.target_mm, self._force)]
 
     def _off(self, u: FloatArray) -> float:
         return float(u[self._node, self._axis]) - self.target_mm
@@ -334,7 +347,7 @@ class DrivenContact:
     def push(self, depth_mm: float) -> Supports:
         """Aim at a depth and return the supports; slip counts from the last accepted state."""
         self.contact.restart()
-        self._drive.target_mm = -depth_mm
+        self._drive.aim(-depth_mm)
         return self._supports
 
     def settle(self, state: State) -> bool:
@@ -347,6 +360,7 @@ class DrivenContact:
     def accept(self, state: State) -> None:
         """Let the next increment begin at a state."""
         self.contact.accept(state.u_mm)
+        self._drive.keep()
 
 
 # facets of the indenter that stay this far from the finger's box throughout the push are left out

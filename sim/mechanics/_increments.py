@@ -22,6 +22,10 @@ _MODE_STEPS = 4  # element by element; the second one usually changes nothing an
 _MODES_SETTLED_REL = 1e-3  # of the energy; Newton's method does the rest
 # a search that has taken this long from a guess is not begun again from the last equilibrium: half the way is cheaper
 _LONG_GUESS = 10
+# iterations after which half the way is tried instead: searches that wander beside a saddle take 50 and fail, and the
+# same way in two halves took 15 to 32
+_PATIENCE = 25
+_TOUCHING = 0.1  # of an increment's way: what touches there is held in the linear answer that a search starts from
 _MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
 _LAGGED_REL = 1e-3  # of the forces, out of balance: nearer than this is of no use while lagged forces still change
 
@@ -168,6 +172,9 @@ class Load:
         that have come near) and tells so, or returns nothing; the same increment is then sought again with it.
     accept
         Told each equilibrium that is kept, before the next increment begins.
+    hold
+        From a state and two shares of the load, lets contact act at the second share at those places alone that touch
+        at the first one, as if they could not part, until :attr:`at` is called; tells whether there are any.
     """
 
     at: Callable[[float], Supports]
@@ -175,6 +182,7 @@ class Load:
     refuse: Callable[[State, float], str] | None = None
     take_up: Callable[[State, float], str] | None = None
     accept: Callable[[State], None] | None = None
+    hold: Callable[[State, float, float], bool] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +199,8 @@ class _Search:
     ) -> Equilibrium:
         """Search from a guess, where there is one, and then from a state; with patience when it is the last try."""
         options = self.options
+        if not last:
+            options = replace(options, patience=_PATIENCE)
         if self.load.settle is not None:
             options = replace(options, residual_rel=max(_LAGGED_REL, options.residual_rel), stable=False)
         reached = self._from(state if guess is None else guess, supports, options)
@@ -202,6 +212,31 @@ class _Search:
         if self.load.refuse is not None and not reached.failure:
             return replace(reached, failure=self.load.refuse(reached.state, share))
         return reached
+
+    def touched(self, state: State, last_share: float, share: float, supports: Supports) -> State | None:
+        """Return the linear answer to a share of the load in which a tenth of the way decides what touches, or nothing.
+
+        A rigid body that is moved in all at once touches far more than it does in the end, and Newton's method lets go
+        of about half of that at a time; what it has too little of, it takes up at once.
+        """
+        if self.load.hold is None:
+            return None
+        held = self.load.hold(state, last_share + _TOUCHING * (share - last_share), share)
+        found = self._linear(state, supports.fixed.ravel()) if held else None
+        self.load.at(share)
+        return found
+
+    def _linear(self, state: State, fixed: NDArray[np.bool_]) -> State | None:
+        """Return the state after a whole step of Newton's method, or nothing where the tangent is not definite."""
+        elasticity, matrix = self.assembly.elasticity, self.assembly.matrix
+        gradient, _ = self.assembly.assemble(state)
+        matrix.constrain(fixed)
+        if not self.solver.factorise_definite(matrix.upper(), matrix.version):
+            return None
+        du = self.solver.solve(np.where(fixed, 0.0, -gradient.ravel())).reshape(-1, 3)
+        step = elasticity.mode_step(du)
+        pressures, _ = elasticity.full_step_pressures_mpa(du, step)
+        return state.moved(1.0, du, step).towards(pressures, 1.0)
 
     def _from(self, state: State, supports: Supports, options: NewtonOptions) -> Equilibrium:
         return find_equilibrium(self.assembly, state, supports, self.solver, options)
@@ -263,13 +298,13 @@ def load_increments(
     predicted = predict or Extrapolation()
     for stop in stops:
         way = stop - at
-        part = 1.0
-        done = 0.0
+        part, done = 1.0, 0.0
         while done < 1.0:
             part = min(part, 1.0 - done)
             aim = stop if done + part >= 1.0 else stop - way * (1.0 - done - part)
             supports = load.at(aim)
-            guess = _allowed(assembly, state, predicted(state, at, aim), supports)
+            guess = predicted(state, at, aim) or search.touched(state, at, aim, supports)
+            guess = _allowed(assembly, state, guess, supports)
             reached = search.equilibrium(state, guess, aim, supports, last=part / 2.0 < shortest_share)
             if reached.failure:
                 part /= 2.0

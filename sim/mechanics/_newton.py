@@ -23,6 +23,9 @@ _TRIES_NEARER, _WORTH_A_TRY = (
 )  # for a better share than the first acceptable one, if that far from what was tried
 # where a step has lowered the residual by this factor, the tangent changes little: the factors are used again
 _NEARLY_LINEAR = 0.3
+# and where this share of the forces is out of balance at most: else places come to touch or part, and the rate of these
+# solutions is that of their number
+_NEARLY_BALANCED = 0.05
 # a factorisation takes the time of 10 and 14 solutions with a product at 39 000 and 142 000 unknowns, about as their
 # root: two thirds of that are spent at most on avoiding one, since some solutions fail
 _REFINEMENTS_PER_ROOT = 0.03
@@ -38,6 +41,7 @@ _REMOVED, _REMOVED_LESS, _LEAST_REMOVED = (0.3, 1.0), 1.0 / 3.0, 0.1
 # a search wanders where the least residual of so many steps is not so much below that of all before, and above such a
 # share of the first one: below it, something soft goes a long way, and a smaller increment leads there too
 _WANDERS_AFTER, _NEARER, _FAR = 8, 0.5, 1e-3
+_ARRIVING = 0.1  # of the residual before: a step that leaves no more is one of Newton's last ones
 _OVERSHOOT = 4.0  # the energy may rise this many times more than foreseen while supports move
 # an exact tangent that was positive definite so near, in edges of an element, is not factorised again at the
 # equilibrium; or, up to the second way, where a few of Lanczos' steps see no soft shape: further off, shapes change by
@@ -85,6 +89,8 @@ class NewtonOptions:
         Steps are shortened to this.
     iterations
         At most.
+    patience
+        Iterations after which the search is given up unless its last step lowered the residual to a tenth.
     stalled_after
         Steps that together must reach the length of one whole step, or the search is given up; 0: never. A smaller
         increment is cheaper than steps that short.
@@ -99,6 +105,7 @@ class NewtonOptions:
     step_floor_mm: float = 1e-10
     longest_step_mm: float = 8.0
     iterations: int = 50
+    patience: int = 50
     stalled_after: int = 8
     tell: Callable[[str], None] | None = None
     stable: bool = True
@@ -235,7 +242,9 @@ class _Search:
 
     def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
-        if self.solved - self.since >= self.options.iterations:
+        since = self.solved - self.since
+        arriving = len(self.residuals) > 1 and self.residuals[-1] <= _ARRIVING * self.residuals[-2]
+        if since >= self.options.iterations or (since >= self.options.patience and not arriving):
             return f"no equilibrium after {self.solved} iterations"
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
@@ -414,6 +423,8 @@ class _Search:
         matrix, residuals = self.assembly.matrix, self.residuals
         if self.factors != matrix.version or len(residuals) < 2 or residuals[-1] > _NEARLY_LINEAR * residuals[-2]:
             return None
+        if residuals[-1] > _NEARLY_BALANCED / self.options.residual_rel * self.bar_n:
+            return None
         last, before = max(residuals[-1], 1e-300), max(residuals[-2], 1e-300)
         needed = min(max(0.1 * self.bar_n / last, (last / before) ** 2, 1e-8), 1e-3)
         most = max(_FEWEST_REFINEMENTS, round(_REFINEMENTS_PER_ROOT * math.sqrt(right.size)))
@@ -455,8 +466,10 @@ class _Search:
             if tried.merit_n_mm <= merit + allowed + noise:
                 if refused is not None and not moving:
                     tried = _nearer_to_least(trial, merit, rise, tried, refused)
+                elif self.removed > 0.0 and share == 1.0 and not moving:
+                    tried = self._further(trial, tried, noise, state, du)
                 self.shares.append(tried.share)
-                self.taken = tried.share / whole
+                self.taken = min(1.0, tried.share / whole)
                 if self.ahead is not None and tried.state is self.ahead.state:
                     return tried.state, tried.energy_n_mm
                 return tried.state.towards(pressures, tried.share), tried.energy_n_mm
@@ -466,6 +479,25 @@ class _Search:
             best = -0.5 * rise * share**2 / curve if not moving and 0.0 < curve < math.inf else 0.5 * share
             share = min(max(best, 0.1 * share), 0.5 * share)
         return None
+
+    def _further(
+        self, trial: Callable[[float], "_Trial"], found: "_Trial", noise: float, state: State, du: FloatArray
+    ) -> "_Trial":
+        """Return the best of a whole step and twice, four times ... as much of it, as long as the merit falls.
+
+        A tangent without negative curvature also resists the shapes that leave a saddle: a step holds a part only of
+        what the energy allows them.
+        """
+        longest = float(np.abs(du).max())
+        while 2.0 * found.share * longest <= self.options.longest_step_mm:
+            share = 2.0 * found.share
+            if self.assembly.max_step(state, share * du) < 1.0:
+                break
+            tried = trial(share)
+            if not tried.merit_n_mm < found.merit_n_mm - noise:
+                break
+            found = tried
+        return found
 
 
 class _Ahead(NamedTuple):
@@ -538,16 +570,17 @@ def find_equilibrium(
     """Find the least energy near a state, with prescribed displacements.
 
     Newton's method on displacements, incompatible modes and the pressures of nearly incompressible elements; each step
-    must lower the energy (Armijo), in which the change of volume counts softly; one that has to be shortened goes near
-    to the least energy along it, the modes of each element then follow by themselves, and what hardly resisted is
-    damped in the next step. Where the exact tangent has negative curvature, as in buckling, as much of that of each
-    point is taken away as makes it positive definite, and all of it after a step that lowered nothing. A result is
-    tested for being a least energy: its tangent is factorised, or compared with a factorised one near by. A saddle is
-    left along its negative curvature, to the side of lower energy, and the search goes on from there. The tangent is
-    that of the energy with friction's limits held, so that it is symmetric: stable means that nothing moves by itself
-    while they stay; the curvature of an indenter times how deep it sinks in is left out where its contact leaves it
-    out. Supports that are not yet where they shall be move there in the first step, or in several where that turns an
-    element inside out or a term allows less.
+    must lower the energy (Armijo), in which the change of volume counts softly; one by a tangent without negative
+    curvature goes on as long as it falls; one that has to be shortened goes near to the least energy along it, the
+    modes of each element then follow by themselves, and what hardly resisted is damped in the next step. Where the
+    exact tangent has negative curvature, as in buckling, as much of that of each point is taken away as makes it
+    positive definite, and all of it after a step that lowered nothing. A result is tested for being a least energy: its
+    tangent is factorised, or compared with a factorised one near by. A saddle is left along its negative curvature, to
+    the side of lower energy, and the search goes on from there. The tangent is that of the energy with friction's
+    limits held, so that it is symmetric: stable means that nothing moves by itself while they stay; the curvature of an
+    indenter times how deep it sinks in is left out where its contact leaves it out. Supports that are not yet where
+    they shall be move there in the first step, or in several where that turns an element inside out or a term allows
+    less.
 
     Returns
     -------

@@ -103,6 +103,7 @@ class PenaltyContact:
         self._eps = stiffness_mpa_per_mm
         self.curvature = curvature
         self._reference = reference_node
+        self._held: NDArray[np.bool_] | None = None
         points = faces if isinstance(faces, FacePoints) else face_points(faces, to_border=False)
         self.quads = quads = points.quads
         self._shapes, slopes = quad_shapes(points.places)
@@ -112,7 +113,19 @@ class PenaltyContact:
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
-        self.pose = pose
+        self.pose, self._held = pose, None
+
+    def hold(self, u: FloatArray, pose: Pose) -> bool:
+        """Put the body elsewhere with the points that touch now, which act alone and cannot part until it is placed.
+
+        Returns whether there are any. Only the first and the second derivative know of this.
+        """
+        self._held, self.pose = (self.gaps_mm(u) < 0.0).ravel(), pose
+        return bool(self._held.any())
+
+    def _acting(self, distance: FloatArray) -> NDArray[np.bool_]:
+        """Return which points push or, where they are held, pull."""
+        return distance < 0.0 if self._held is None else self._held
 
     def with_curvature(self) -> "PenaltyContact":
         """Return this contact with its whole second derivative."""
@@ -176,7 +189,7 @@ class PenaltyContact:
         """Return dPi/du in N, shape (n, 3)."""
         face, number, points = self._touching(u)
         distance, normal, _ = self.pose.distances(self.body, points)
-        pull = (self._eps * self._areas.ravel() * np.minimum(distance, 0.0))[:, None] * normal
+        pull = (self._eps * self._areas.ravel() * np.where(self._acting(distance), distance, 0.0))[:, None] * normal
         out = np.zeros_like(u)
         np.add.at(
             out, self.quads[face].ravel(), (self._shapes[face, number][:, :, None] * pull[:, None]).reshape(-1, 3)
@@ -190,8 +203,9 @@ class PenaltyContact:
         face, number, points = self._touching(u)
         distance, normal, curvature = self.pose.distances(self.body, points)
         # with a reference node, all faces reserve their place beside it: it may come to touch any of them
-        kept = (distance < 0.0) if self._reference is None else np.ones(len(face), dtype=bool)
-        scale = self._eps * self._areas.ravel()[kept] * (distance[kept] < 0.0)
+        acting = self._acting(distance)
+        kept = acting if self._reference is None else np.ones(len(face), dtype=bool)
+        scale = self._eps * self._areas.ravel()[kept] * acting[kept]
         blocks = normal[kept, :, None] * normal[kept, None, :]
         if self.curvature and not project:
             blocks = blocks + distance[kept, None, None] * curvature[kept]
@@ -310,6 +324,11 @@ class PenaltyPress(PenaltyTouch):
         """Place the indenter at a depth and return the supports."""
         self._contact.place(self._indenter.pose(depth_mm))
         return self._supports
+
+    def hold(self, state: State, touching_mm: float, depth_mm: float) -> bool:
+        """Place the indenter with what touches at another depth alone, see :class:`~sim.mechanics._increments.Load`."""
+        self.push(touching_mm)
+        return self._contact.hold(state.u_mm, self._indenter.pose(depth_mm))
 
     def accept(self, state: State) -> None:
         """Do nothing: an increment leaves nothing behind."""
@@ -636,3 +655,8 @@ class SlidingPress(SlidingTouch):
         """Place the indenter at a depth for an increment from where the last one ended, and return the supports."""
         self.sliding.restart(self._indenter.pose(depth_mm))
         return self.supports
+
+    def hold(self, state: State, touching_mm: float, depth_mm: float) -> bool:
+        """Place the indenter with what touches at another depth alone, see :class:`~sim.mechanics._increments.Load`."""
+        self.push(touching_mm)
+        return self.sliding.hold(state.u_mm, self._indenter.pose(depth_mm))

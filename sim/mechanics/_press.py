@@ -551,12 +551,14 @@ def _load(touch: PressContact, parts: PartsContact | None, depth_mm: float, pad_
         if parts is not None:
             parts.accept(state)
 
+    held = touch.hold if isinstance(touch, PenaltyPress | SlidingPress) else None
     return Load(
         at=lambda share: touch.push(share * depth_mm),
         settle=touch.settle,
         refuse=lambda state, share: _passed_through(touch, state, share * depth_mm, pad_mm),
         take_up=None if parts is None else lambda state, share: parts.take_up(state, share * depth_mm),
         accept=accept,
+        hold=held and (lambda state, part, share: held(state, part * depth_mm, share * depth_mm)),
     )
 
 

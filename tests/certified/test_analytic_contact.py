@@ -85,6 +85,23 @@ def test_gradient_and_hessian_are_the_derivatives(body, reference):
     assert contact.max_step(u, u) == 1.0
 
 
+def test_points_that_are_held_act_alone_and_pull_until_the_body_is_placed():
+    contact, u = touching(Sphere(3.0), False)
+    pose, pushed = contact.pose, contact.gradient(u)
+    assert contact.hold(u, Pose((0.1, 4.3, -0.2), TURNED))
+    # 1 mm further away nothing touches, and the points that did are pulled
+    assert not contact.pressures_mpa(u).any()
+    pulled = contact.gradient(u)
+    assert pulled[:, 1].sum() < 0.0 < pushed[:, 1].sum()
+    assert ((pulled != 0.0) == (pushed != 0.0)).all()
+    steps = 1e-6 * np.eye(u.size).reshape(-1, *u.shape)
+    curve = np.stack([(contact.gradient(u + s) - contact.gradient(u - s)).ravel() for s in steps], 1) / 2e-6
+    hessian = contact.hessian(u, False).toarray()
+    assert np.abs(curve - hessian).max() <= 1e-7 * np.abs(hessian).max()
+    contact.place(pose)
+    assert np.array_equal(contact.gradient(u), pushed)
+
+
 def test_force_on_the_body_balances_that_on_the_nodes():
     contact, u = touching(Sphere(3.0), True)
     gradient = contact.gradient(u)

@@ -12,6 +12,7 @@ from data_schemas import MissingExtraError, NoEquilibriumError, SimulateError
 from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, PenaltyContact, Pose
 from sim.mechanics import _assembly as assembly_module
 from sim.mechanics import _increments as increments
+from sim.mechanics import _newton as newton
 from sim.mechanics._assembly import UpperBlocks
 from sim.mechanics._finger_mesh import TiedNodes
 from sim.mechanics._increments import Load, State, load_increments
@@ -231,6 +232,32 @@ def test_after_a_long_search_from_a_guess_half_the_way_is_gone(monkeypatch, iter
     # the last try is patient
     assert search.equilibrium(rest, guess, 1.0, loading(1.0), last=True).failure
     assert [state is guess for state in begun] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("solved", "last", "over"),
+    [(24, 0.5, False), (25, 0.5, True), (25, 0.04, False), (49, 0.04, False), (50, 0.04, True)],
+)
+def test_a_search_that_half_the_way_may_ease_ends_sooner_unless_it_arrives(solved, last, over):
+    _, assembly, loading = sheared_beam()
+    search = _Search(assembly, loading(1.0), linear_solver(), NewtonOptions(patience=25))
+    search.solved, search.residuals, search.removals = solved, [1.0, 0.5, last], [1.0] * 3
+    assert bool(search.given_up()) == over
+
+
+def test_only_the_last_try_of_an_increment_has_all_iterations(monkeypatch):
+    _, assembly, loading = sheared_beam()
+    patience = []
+
+    def failing(assembly, state, supports, solver, options):
+        patience.append(options.patience)
+        return Equilibrium(state, np.zeros_like(state.u_mm), 0.0, (1.0,), "no equilibrium", 50)
+
+    monkeypatch.setattr(increments, "find_equilibrium", failing)
+    search = _IncrementSearch(assembly, linear_solver(), Load(loading), NewtonOptions())
+    for last in (False, True):
+        assert search.equilibrium(assembly.at_rest(), None, 1.0, loading(1.0), last=last).failure
+    assert patience == [25, 50, 50]
 
 
 @both_solvers
@@ -468,6 +495,19 @@ def test_old_factors_are_tried_as_long_as_they_lead_there(solver, change, produc
     assert (found is None) == (change == 10.0)
     if found is not None:
         assert near @ found == pytest.approx(np.arange(12.0), abs=1e-4)
+
+
+@pytest.mark.parametrize(("balanced", "tried"), [(0.04, True), (0.06, False)])
+def test_old_factors_are_tried_near_to_balance_only(monkeypatch, balanced, tried):
+    # further off, places come to touch or part, and solutions with old factors lead nowhere
+    _, assembly, loading = sheared_beam()
+    search = _Search(assembly, loading(1.0), linear_solver(), NewtonOptions(residual_rel=1e-6))
+    asked = []
+    monkeypatch.setattr(newton, "refined", lambda *_: asked.append(True))
+    search.factors, search.bar_n, search.residuals = assembly.matrix.version, 1e-6 * 5.0, [100.0, balanced * 5.0]
+    with_old_factors = search._with_old_factors  # noqa: SLF001 - a search shows it only by its time
+    with_old_factors(np.ones(3 * assembly.count))
+    assert bool(asked) == tried
 
 
 @both_solvers

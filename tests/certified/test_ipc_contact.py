@@ -132,6 +132,23 @@ def test_two_blocks_that_meet_share_the_push():
     assert force == pytest.approx(-alone.gradient_n[one.numbers[:, -1].ravel(), 1].sum(), rel=0.01)
 
 
+def test_the_drive_foresees_its_force_where_it_has_met_two_targets():
+    # a force of 2 N at 1 mm and of 5 N at 3 mm: 6.5 N at 4 mm, so that the target is met at once
+    drive, u = Drive(0, 1, stiffness_n_per_mm=10.0), np.zeros((1, 3))
+    for target_mm, force_n in ((-1.0, 2.0), (-3.0, 5.0)):
+        drive.aim(target_mm)
+        u[0, 1] = target_mm
+        drive.settle(u + (force_n - drive.gradient(u)) / 10.0)
+        assert drive.gradient(u)[0, 1] == pytest.approx(force_n)
+        drive.keep()
+    for _ in range(2):  # an increment that begins again goes by what was kept
+        drive.aim(-4.0)
+        u[0, 1] = -4.0
+        assert drive.gradient(u)[0, 1] == pytest.approx(6.5)
+        assert drive.settle(u)
+        drive.settle(u + 0.1)
+
+
 def test_an_obstacle_inside_is_refused():
     block = pad()
     facets = body_mesh(BODY, 0.05, 4.0)

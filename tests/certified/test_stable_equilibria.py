@@ -77,6 +77,16 @@ def test_a_column_between_moving_clamps_is_stable_at_every_increment(solver, sto
             column.check(step.equilibrium, SHORTER_MM * step.fraction)
 
 
+def test_a_saddle_is_left_in_few_steps():
+    # a tangent without negative curvature resists the bending that grows; whole steps alone take 12
+    column = Column()
+    reached = find_equilibrium(
+        column.assembly, column.bent(1e-6, SHORTER_MM), column.at(1.0), linear_solver(), NewtonOptions()
+    )
+    column.check(reached, SHORTER_MM)
+    assert reached.iterations <= 9
+
+
 @both_solvers
 @pytest.mark.parametrize("amplitude_mm", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
 @pytest.mark.parametrize("moving", [True, False])

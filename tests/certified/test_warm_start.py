@@ -22,6 +22,7 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import CornerGrading
 from sim.mechanics._newton import Supports
+from sim.mechanics._penalty_contact import PenaltyPress
 from sim.mechanics._press import _first_on_coarse, press_contact
 from tests.certified.blocks import assemble, unit_cells
 from tests.command_line.running import finray, succeed
@@ -136,6 +137,13 @@ def test_a_start_saves_iterations(halfway):
     # its own path, but for the incompatible modes: the first increment has little left to do
     assert started.iterations[0] <= halfway.iterations[0] - 3
     assert started.force_n == pytest.approx(halfway.force_n, abs=1e-5 * halfway.force_n[-1, 1])
+
+
+def test_a_press_starts_from_what_touches_after_a_tenth_of_the_way(halfway, monkeypatch):
+    monkeypatch.setattr(PenaltyPress, "hold", lambda *_: False)
+    plain = press_finger(to_depth(0.5), PressSettings("coarse", 1))
+    assert halfway.iterations[0] <= plain.iterations[0] - 2
+    assert halfway.force_n[0] == pytest.approx(plain.force_n[0], abs=1e-5 * plain.force_n[0, 1])
 
 
 def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
