@@ -91,30 +91,28 @@ def drawn_paint(
 def paint_of_the_learned_prior(rng: np.random.Generator) -> tuple[np.ndarray, float, BandData, float]:
     """Return a paint of the learned prior: curve of 0 or more, reflectance, measured data, and sd of ln(blocking).
 
-    The truth is a draw of exactly what the fit believes, its values one of the fit's own likelihood: negative emission,
-    which the prior has, is measured as it is. Ranks of an exact posterior are uniform then.
+    The truth is a draw of what the fit believes, cut at zero, its values one of the fit's own likelihood.
     """
     optics = nominal_optics()
     weights, empty = _known_rig(optics)
     parts, ln_blocking_sd = components_of(learned_spectra(), WAVELENGTH_NM, weights.laser_nm), 0.5
     while True:
-        signed, reflectance = _signed_paint(parts, rng)
-        curve = np.maximum(signed, 0.0)
+        curve, reflectance = _paint_and_reflectance(parts, rng)
         if photon_yield(curve[None], WAVELENGTH_NM, weights.laser_nm)[0] <= 1 - reflectance:
             break
     leak = empty.leak_mean * np.exp(ln_blocking_sd**2 / 2)
-    mu = band_values(signed[None], np.array([reflectance]), weights, leak[None])[0]
+    mu = band_values(curve[None], np.array([reflectance]), weights, leak[None])[0]
     stated = optics.band_uncertainty
     stray = stated.stray_light_rel * np.abs(mu[~weights.is_excitation & empty.usable.ravel()]).max()
     covariance = np.diag((np.hypot(NOISE_REL, stated.response_rel) * mu) ** 2 + stray**2)
     exact = replace(empty, y=mu.reshape(empty.y.shape), covariance=covariance)
     y = mu.copy()
-    y[exact.kept] += band_errors(exact, signed, reflectance, ln_blocking_sd, rng)
+    y[exact.kept] += band_errors(exact, curve, reflectance, ln_blocking_sd, rng)
     return curve, reflectance, replace(exact, y=y.reshape(empty.y.shape)), ln_blocking_sd
 
 
-def _signed_paint(parts: Components, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Return curve, with what the departures take below zero, and reflectance of one draw of the learned prior."""
+def _paint_and_reflectance(parts: Components, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Return curve, cut at zero, and reflectance of one draw of the learned prior."""
     share, above = np.exp(parts.ln_share), parts.wavelength_nm >= parts.laser_nm
     chosen = rng.choice(share.size, 1, p=share / share.sum())
     (size, second) = (rng.choice(*np.transpose(table)[:1], p=np.transpose(table)[1]) for table in (_SIZES, _SECOND_DYE))
@@ -126,7 +124,7 @@ def _signed_paint(parts: Components, rng: np.random.Generator) -> tuple[np.ndarr
     both = np.full(2, -1.0)
     while (both <= 0).any():
         both = mean[0] + rng.standard_normal(2) / np.sqrt(precision[0])
-    return both[0] * curve, float(both[1])
+    return both[0] * np.maximum(curve, 0.0), float(both[1])
 
 
 def _real(nominal: Optics, imperfections: np.ndarray, hotter: float) -> Optics:

@@ -39,7 +39,8 @@ from data_schemas import BandUncertainty, PaintCalibration
 from data_schemas.storage import planck_relative
 from finray_calib.fit import FitOptions, calibrate_paint
 from finray_calib.fit._band_data import BandData, band_data, band_values
-from finray_calib.fit._measured_spectra import fit_spectrum, learned_spectra
+from finray_calib.fit._drawn_spectra import fit_spectrum
+from finray_calib.fit._measured_spectra import learned_spectra
 from finray_calib.fit._paint_calibration import curve_bands
 from finray_calib.fit._reported_spectrum import conserving_draws, simultaneous_band
 from finray_calib.spectra import WAVELENGTH_NM as OUT_NM

@@ -12,8 +12,7 @@ Exit status 1 when something misses. A mixture takes some 10 s a paint, because 
 paints are kept beside OUT, and the same command goes on with the rest, as long as the code of the fit is the same.
 
 The model ``learned`` is the prior of measured spectra, whose posterior `finray fit` reports: paints are drawn from that
-prior, with energy conserved, and their values from its own linear likelihood. Curves below zero, which the prior has,
-are measured as they are; as reported they are cut, on both sides of the comparison.
+prior, cut at zero and with energy conserved, and their values from its own linear likelihood.
 
 Reference: Talts, Betancourt, Simpson, Vehtari, Gelman, Validating Bayesian inference algorithms with simulation-based
 calibration, arXiv:1804.06788.
@@ -43,7 +42,8 @@ from finray_calib.fit import (
     band_data,
     fit_emission,
 )
-from finray_calib.fit._measured_spectra import fit_spectrum, learned_spectra
+from finray_calib.fit._drawn_spectra import fit_spectrum
+from finray_calib.fit._measured_spectra import learned_spectra
 from finray_calib.fit._reported_spectrum import conserving_draws
 from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, curve_quantities
 

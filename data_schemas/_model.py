@@ -298,7 +298,7 @@ class Estimate(Model):
 
 
 class Quantity(Estimate):
-    """An estimate with its unit: ``597.8 [589.7, 604.7] nm``.
+    """An estimate with its unit: ``598.0 [589.8, 605.2] nm``.
 
     ``float`` refuses it, unless it is a pure number: arrays of such numbers would mix their units. ``estimate`` is the
     median, in the unit.

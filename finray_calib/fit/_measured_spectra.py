@@ -8,8 +8,8 @@ A curve is one of a few prototypes of shape g, put at a place and stretched in w
 with v the directions in which measured shapes of a prototype differ (and those of place and width between the points
 of the grid), d a Gaussian process of amplitude s, e a re-absorbed blue edge and h a second dye of any shape. Prototype,
 place, width, s in three sizes and t are discrete; everything else is normal, so that given them the bands are jointly
-normal: the evidence of each of some thousand components is closed form, and so are its draws. Choice of the shape and
-size of the departure thereby belong to the interval. Nothing is adapted and no chain has to converge.
+normal: the evidence of each of some thousand components is closed form. Choice of the shape and size of the departure
+thereby belong to the interval. What is drawn is nowhere below zero: :mod:`finray_calib.fit._drawn_spectra`.
 
 The height a is integrated out with a proper prior: without one a component that emits beyond the last filter explains
 any signal with any height. Where a multiplies the departures' covariance it is its own estimate, iterated. Leaks, which
@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from finray_calib.fit._band_data import BandData, Reference, tolerance_columns
-from finray_calib.fit._prior import chi_square_of_bands
 
 Floats = NDArray[np.float64]
 
@@ -218,50 +217,7 @@ def components_of(spectra: MeasuredSpectra, wavelength_nm: Floats, laser_nm: flo
 
 
 @dataclass(frozen=True)
-class SpectrumPosterior:
-    """Posterior of the emission under the learned prior.
-
-    Attributes
-    ----------
-    curves
-        (n, L) draws, nm^-1, of 0 or more, zero below the laser.
-    reflectance_at_laser
-        (n,) draws.
-    imperfections
-        (n, B) draws of the calibration of each band, in prior standard deviations.
-    ln_evidence
-        Of the prior, nats.
-    effective
-        How many components share the posterior.
-    chi2, degrees_of_freedom, p_value
-        (B,) posterior mean chi-square of each band, its usable channels, and posterior predictive probability of a
-        larger one; NaN where no channel is usable.
-    total_chi2
-        Posterior mean chi-square of all values.
-    predicted_mean, predicted_sd
-        (B, C) predicted band values, noise left out of the standard deviation.
-    components, band_draws
-        (n,) component of each draw, and (n, K) the values of the usable bands that its paint would give without any
-        error; empty where no component made it.
-    """
-
-    curves: Floats
-    reflectance_at_laser: Floats
-    imperfections: Floats
-    ln_evidence: float
-    effective: float
-    chi2: Floats
-    degrees_of_freedom: NDArray[np.int64]
-    p_value: Floats
-    total_chi2: float
-    predicted_mean: Floats
-    predicted_sd: Floats
-    components: NDArray[np.int64]
-    band_draws: Floats
-
-
-@dataclass(frozen=True)
-class _Rig:
+class Rig:
     """The bands as a linear map at the mean leak, and what is uncertain beside the paint.
 
     emission (K, L), laser (K,) of the usable rows; fixed (K, K) covariance, calibration (K, B) columns.
@@ -285,7 +241,7 @@ class _Rig:
         more = self.leak_factor * self.data.leak_mean - 1
         return more, 1 + more * self.data.weights.leaked_white
 
-    def at(self, curve: Floats, reflectance: float) -> "_Rig":
+    def at(self, curve: Floats, reflectance: float) -> "Rig":
         """Return the rig whose errors common to all values are shares of those of this paint."""
         more, white = self._mean_leak()
         w = self.data.weights
@@ -338,30 +294,6 @@ class _Scored:
     ln_evidence: float
 
 
-def fit_spectrum(
-    data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float, draws: int, rng: np.random.Generator
-) -> SpectrumPosterior:
-    """Return the posterior of the emission under the learned prior, in closed form.
-
-    Two passes: all components with one size of the departure and the filters' tolerances at a paint that only reflects,
-    then the best with all sizes and a second dye, and with the tolerances at the mean of the first.
-
-    Parameters
-    ----------
-    data
-        Band values with covariance, usable entries and the rig's weights.
-    spectra
-        What was learned.
-    ln_blocking_sd
-        Uncertainty of the filters' blocking, as the logarithm of a multiplier around 1.
-    draws
-        Number of draws.
-    rng
-        Source of all randomness.
-    """
-    return draw_spectra(scored_components(data, spectra, ln_blocking_sd), draws, rng)
-
-
 @dataclass(frozen=True)
 class ScoredSpectra:
     """The posterior as a mixture of normal components, before it is drawn from.
@@ -376,7 +308,7 @@ class ScoredSpectra:
         (K, M) what is uncertain beside noise and paint.
     """
 
-    rig: "_Rig"
+    rig: "Rig"
     parts: Components
     bands: Floats
     scored: "_Scored"
@@ -418,10 +350,10 @@ class ScoredSpectra:
 
 
 def scored_components(data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float) -> ScoredSpectra:
-    """Return the components with their weights given the bands; parameters as of :func:`fit_spectrum`."""
+    """Return the components with their weights given the bands; parameters as of `fit_spectrum`."""
     leaks = bool((data.weights.leaked_laser > 0).any() or (data.weights.leaked_emission > 0).any())
     sd = ln_blocking_sd if leaks else 0.0
-    rig = _Rig(data, float(np.exp(sd**2 / 2)), sd)
+    rig = Rig(data, float(np.exp(sd**2 / 2)), sd)
     parts = components_of(spectra, data.weights.wavelength_nm, data.weights.laser_nm)
     bands = parts.curves @ rig.emission.T
     seen = np.flatnonzero(bands.max(axis=1) > 1e-6 * bands.max())
@@ -498,7 +430,7 @@ def band_errors(
     rng
         Source of all randomness.
     """
-    rig = _Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).at(curve, reflectance)
+    rig = Rig(data, float(np.exp(ln_blocking_sd**2 / 2)), ln_blocking_sd).at(curve, reflectance)
     columns = rig.columns(curve, reflectance)
     noise = np.linalg.cholesky(rig.data.covariance[np.ix_(data.kept, data.kept)])
     drawn = columns @ rng.standard_normal(columns.shape[1]) + noise @ rng.standard_normal(len(noise))
@@ -515,7 +447,7 @@ def height_prior(parts: Components, chosen: NDArray[np.int64]) -> tuple[Floats, 
 
 
 def _scored(
-    rig: _Rig,
+    rig: Rig,
     parts: Components,
     bands: Floats,
     chosen: NDArray[np.int64],
@@ -542,7 +474,7 @@ def _scored(
     return np.where(found[:, 0] > 0, ln, -np.inf), (found, scale, information, np.asarray(inverse))
 
 
-def _first_pass(rig: _Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
+def _first_pass(rig: Rig, parts: Components, bands: Floats, seen: NDArray[np.int64]) -> _Scored:
     """Score all components with one coarse size of the departure."""
     own = bands[seen]
     centre = (rig.emission @ parts.wavelength_nm) / np.maximum(rig.emission.sum(axis=1), 1e-300)
@@ -569,7 +501,7 @@ def _weights(ln: Floats) -> tuple[Floats, float]:
 
 
 def _second_pass(
-    rig: _Rig, parts: Components, bands: Floats, best: NDArray[np.int64], columns: Floats, first: _Scored
+    rig: Rig, parts: Components, bands: Floats, best: NDArray[np.int64], columns: Floats, first: _Scored
 ) -> _Scored:
     """Score the best components with every size of the departure, without and with a second dye."""
     rigid = parts.departures(best) @ rig.emission.T
@@ -597,66 +529,3 @@ def _second_pass(
 
 def _above(parts: Components) -> Floats:
     return np.asarray((parts.wavelength_nm >= parts.laser_nm).astype(np.float64))[:, None]
-
-
-def draw_spectra(fitted: ScoredSpectra, draws: int, rng: np.random.Generator) -> SpectrumPosterior:
-    """Draw component, height and departures (Matheron's rule), and check the bands.
-
-    Parameters
-    ----------
-    fitted
-        The mixture.
-    draws
-        Number of draws.
-    rng
-        Source of all randomness.
-    """
-    rig, scored, columns, data = fitted.rig, fitted.scored, fitted.columns, fitted.rig.data
-    picked = rng.choice(scored.chosen.size, draws, p=scored.weight)
-    roots = np.linalg.cholesky(np.linalg.inv(scored.precision[picked]))
-    both = scored.height[picked] + np.einsum("nij,nj->ni", roots, rng.standard_normal((draws, 2)))
-    both = np.abs(both)
-    noise_root = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
-    k = rng.standard_normal((draws, columns.shape[1]))
-    noise = k @ columns.T + rng.standard_normal((draws, rig.y.size)) @ noise_root.T
-    curves = np.empty((draws, fitted.parts.wavelength_nm.size))
-    predicted = fitted.bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
-    paint, pulls = predicted.copy(), np.empty_like(k)
-    for p in np.unique(picked):
-        rows = np.flatnonzero(picked == p)
-        v = fitted.directions(int(p))
-        seen = v @ rig.emission.T
-        z = rng.standard_normal((rows.size, len(v)))
-        misfit = rig.y - predicted[rows] - z @ seen - noise[rows]
-        alpha = misfit @ scored.inverse[p]
-        z += alpha @ seen.T
-        curves[rows] = fitted.parts.curves[scored.chosen[p]] * both[rows, :1] + z @ v
-        paint[rows] += z @ seen
-        pulls[rows] = k[rows] + alpha @ columns
-    return SpectrumPosterior(
-        np.maximum(curves, 0.0),
-        both[:, 1],
-        pulls[:, : data.weights.bands],
-        scored.ln_evidence,
-        float(1 / (scored.weight**2).sum()),
-        *_checked(rig, predicted, scored.inverse[picked]),
-        components=picked,
-        band_draws=paint,
-    )
-
-
-def _checked(
-    rig: _Rig, predicted: Floats, inverses: Floats
-) -> tuple[Floats, NDArray[np.int64], Floats, float, Floats, Floats]:
-    """Return chi-square, channels and predictive p of each band, the total, and mean and sd of the prediction."""
-    data, residual = rig.data, rig.y - predicted
-    some = slice(None, None, max(1, len(predicted) // 200))
-    residual, covariance = residual[some], np.linalg.inv(inverses[some])
-    checks = chi_square_of_bands(residual, covariance, data.weights.band_index[data.kept], data.weights.bands)
-    total = float(np.einsum("ni,nij,nj->n", residual, inverses[some], residual).mean())
-    mean, sd = np.zeros(data.y.size), np.zeros(data.y.size)
-    mean[data.kept] = predicted.mean(axis=0)
-    measured = np.diag(data.covariance)[data.kept]
-    variance = predicted.var(axis=0, ddof=1) + np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
-    sd[data.kept] = np.sqrt(np.maximum(variance, 0.0))
-    return *checks, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)

@@ -22,15 +22,10 @@ from numpy.typing import NDArray
 
 from data_schemas import PriorShare
 from finray_calib.fit._band_data import BandData
+from finray_calib.fit._drawn_spectra import SpectrumPosterior, fit_spectrum
 from finray_calib.fit._emission import EmissionPosterior
 from finray_calib.fit._family_choice import FitOptions
-from finray_calib.fit._measured_spectra import (
-    SpectrumPosterior,
-    components_of,
-    fit_spectrum,
-    learned_spectra,
-    prior_curves,
-)
+from finray_calib.fit._measured_spectra import components_of, learned_spectra, prior_curves
 from finray_calib.spectra import CurveQuantities, curve_quantities, photon_yield
 
 Floats = NDArray[np.float64]

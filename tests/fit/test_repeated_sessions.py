@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from data_schemas import FitError, PaintCalibration, provenance
 from data_schemas.storage import read_record, write_record
@@ -53,6 +54,18 @@ def test_the_interval_of_the_common_level_holds_the_truth(session, level_of, num
         off, sd = level_of(together)
         inside += abs(off) < 1.96 * sd
     assert inside >= 48
+
+
+def test_two_sessions_hold_their_level_as_often_as_stated_at_the_largest_scatter(session, level_of):
+    """Levels that scatter by 8 %: the mean of two does not depend on how far they are apart, and the interval does."""
+    rng, largest, held = np.random.default_rng(9), 0.08, []
+    for share in (np.arange(12) + 0.5) / 12:
+        apart = largest * np.sqrt(2) * norm.ppf((1 + share) / 2)
+        together, _ = combine_sessions([session(rng, 0.0, 0.0, apart / 2), session(rng, 0.0, 0.0, -apart / 2)])
+        _, sd = level_of(together)
+        held.append(2 * norm.cdf(1.96 * sd / (largest / np.sqrt(2))) - 1)
+    # 0.95 by a prior of 5 %; 0.91 by one of 3 %
+    assert np.mean(held) > 0.93
 
 
 def test_the_scatter_between_sessions_is_found_where_there_are_many(session):
