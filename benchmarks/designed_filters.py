@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.emission_detection import Rig
 from benchmarks.paints_of_dyes import JUDGED, OUT_NM, Case, excited, group_of, left_out_priors
 from finray_calib.fit import EmissionPrior, band_data
-from finray_calib.fit._drawn_spectra import fit_spectrum
 from finray_calib.fit._filter_design import paired_ratio
+from finray_calib.fit._reported_spectrum import fit_spectrum
 from rigs.simulated._bench import WAVELENGTH_NM
 
 LARGEST_MEDIAN, LARGEST_MEAN = 0.7, 0.8

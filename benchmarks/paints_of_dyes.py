@@ -39,10 +39,9 @@ from data_schemas import BandUncertainty, PaintCalibration
 from data_schemas.storage import planck_relative
 from finray_calib.fit import FitOptions, calibrate_paint
 from finray_calib.fit._band_data import BandData, band_data, band_values
-from finray_calib.fit._drawn_spectra import fit_spectrum
 from finray_calib.fit._measured_spectra import learned_spectra
 from finray_calib.fit._paint_calibration import curve_bands
-from finray_calib.fit._reported_spectrum import conserving_draws, simultaneous_band
+from finray_calib.fit._reported_spectrum import conserving_draws, fit_spectrum, simultaneous_band
 from finray_calib.spectra import WAVELENGTH_NM as OUT_NM
 from finray_calib.spectra import curve_quantities
 from rigs.simulated._bench import STEP_NM, WAVELENGTH_NM

@@ -42,9 +42,8 @@ from finray_calib.fit import (
     band_data,
     fit_emission,
 )
-from finray_calib.fit._drawn_spectra import fit_spectrum
 from finray_calib.fit._measured_spectra import learned_spectra
-from finray_calib.fit._reported_spectrum import conserving_draws
+from finray_calib.fit._reported_spectrum import conserving_draws, fit_spectrum
 from finray_calib.spectra import FAMILIES, WAVELENGTH_NM, curve_quantities
 
 QUANTITIES = ("mode_nm", "fwhm_nm", "skew", "peak_per_nm", "energy_yield")

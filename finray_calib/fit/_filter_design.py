@@ -28,9 +28,9 @@ from threadpoolctl import threadpool_limits
 
 from data_schemas import BandPassFilter, BandUncertainty, FitError, Optics, PaintCalibration, SpectralCurve
 from finray_calib.fit._band_data import LARGEST_LEAK_OF_WHITE, BandData, band_values
-from finray_calib.fit._drawn_spectra import fit_spectrum
 from finray_calib.fit._measured_spectra import band_errors, components_of, learned_spectra, random_paints
 from finray_calib.fit._prior import EmissionPrior
+from finray_calib.fit._reported_spectrum import fit_spectrum
 from finray_calib.spectra import (
     WAVELENGTH_NM,
     EmissionWeights,

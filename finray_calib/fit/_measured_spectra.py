@@ -9,7 +9,7 @@ with v the directions in which measured shapes of a prototype differ (and those 
 of the grid), d a Gaussian process of amplitude s, e a re-absorbed blue edge and h a second dye of any shape. Prototype,
 place, width, s in three sizes and t are discrete; everything else is normal, so that given them the bands are jointly
 normal: the evidence of each of some thousand components is closed form. Choice of the shape and size of the departure
-thereby belong to the interval. What is drawn is nowhere below zero: :mod:`finray_calib.fit._drawn_spectra`.
+thereby belong to the interval. What is drawn is nowhere below zero: :mod:`finray_calib.fit._reported_spectrum`.
 
 The height a is integrated out with a proper prior: without one a component that emits beyond the last filter explains
 any signal with any height. Where a multiplies the departures' covariance it is its own estimate, iterated. Leaks, which

@@ -10,6 +10,27 @@ the largest departure in standard deviations; the pointwise one holds 95 % at ea
 
 A quantity whose variance is hardly smaller than before the measurement was not measured: its prior share is
 var(q | y) / var(q), of peak and yield that of their logarithms, at most 1.
+
+Under the learned prior, given its component c, a curve f is normal before and after the measurement, and its departures
+take it below zero, where no paint emits less than nothing. What a fit reports is the cut curve, and the cut adds light
+to the bands: by itself it would leave the measured values by more than their errors allow. The paint is therefore what
+is cut, and reported are draws of
+
+.. math:: p(c, f, \rho \mid y) = p(c \mid y)\,
+          \frac{p(f, \rho \mid c)\, N(y;\, A \max(f, 0) + \rho l, N)}{\int p(f', \rho' \mid c)\,
+          N(y;\, A \max(f', 0) + \rho' l, N)\, df'\, d\rho'}
+
+with p(c | y) of the normal curves, before the cut. Draws of the normal posterior are exchanged for others of their
+component by the rule of Metropolis, whose weight is the ratio of both likelihoods, and nothing where height or
+reflectance are below zero:
+
+.. math:: w(f, \rho) = N(y;\, A \max(f, 0) + \rho l, N) / N(y;\, A f + \rho l, N)
+
+An exchange leaves that distribution as it is, and as many as are made here come close to it (docs/verification.md).
+Weighted by w over all components, as the evidence of cut curves would be, few draws in a hundred would count.
+
+L. Tierney, Markov chains for exploring posterior distributions, Annals of Statistics 22 (1994) 1701-1728: the
+independence chain.
 """
 
 from collections.abc import Mapping
@@ -22,16 +43,30 @@ from numpy.typing import NDArray
 
 from data_schemas import PriorShare
 from finray_calib.fit._band_data import BandData
-from finray_calib.fit._drawn_spectra import SpectrumPosterior, fit_spectrum
 from finray_calib.fit._emission import EmissionPosterior
 from finray_calib.fit._family_choice import FitOptions
-from finray_calib.fit._measured_spectra import components_of, learned_spectra, prior_curves
+from finray_calib.fit._measured_spectra import (
+    MeasuredSpectra,
+    Rig,
+    ScoredSpectra,
+    components_of,
+    learned_spectra,
+    prior_curves,
+    scored_components,
+)
+from finray_calib.fit._prior import chi_square_of_bands
 from finray_calib.spectra import CurveQuantities, curve_quantities, photon_yield
 
 Floats = NDArray[np.float64]
 
 MEASURED_SPECTRA_TITLE: Final = "prior learned from measured spectra"
 
+_EXCHANGES: Final = 8
+"""Proposals for each draw; where a paint emits nothing over wide ranges, a quarter of them are accepted."""
+_NO_WEIGHT: Final = -1e100
+"""Logarithm of the weight of what cannot be; finite, so that its difference from itself is a number."""
+_AT_ONCE: Final = 2000
+"""Draws whose proposals are held in memory together: 18,000 curves, 60 MB."""
 
 FEWEST_CONSERVING: Final = 100
 """Draws that conserve energy; with fewer the level of the measurement contradicts it, and none is left out."""
@@ -40,6 +75,172 @@ _SD_FLOOR_REL = 0.003
 _PRIOR_CURVES = 2000
 _LOGARITHMIC = ("fwhm_nm", "peak_per_nm", "energy_yield")
 _SHARED = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield")
+
+
+@dataclass(frozen=True)
+class SpectrumPosterior:
+    """Posterior of the emission under the learned prior.
+
+    Attributes
+    ----------
+    curves
+        (n, L) draws, nm^-1, of 0 or more, zero below the laser.
+    reflectance_at_laser
+        (n,) draws.
+    imperfections
+        (n, B) draws of the calibration of each band, in prior standard deviations.
+    ln_evidence
+        Of the prior, nats.
+    effective
+        How many components share the posterior.
+    chi2, degrees_of_freedom, p_value
+        (B,) posterior mean chi-square of each band, its usable channels, and posterior predictive probability of a
+        larger one; NaN where no channel is usable.
+    total_chi2
+        Posterior mean chi-square of all values.
+    predicted_mean, predicted_sd
+        (B, C) predicted band values, noise left out of the standard deviation.
+    components, band_draws
+        (n,) component of each draw, and (n, K) the values of the usable bands that its curve gives without any error;
+        empty where no component made it.
+    """
+
+    curves: Floats
+    reflectance_at_laser: Floats
+    imperfections: Floats
+    ln_evidence: float
+    effective: float
+    chi2: Floats
+    degrees_of_freedom: NDArray[np.int64]
+    p_value: Floats
+    total_chi2: float
+    predicted_mean: Floats
+    predicted_sd: Floats
+    components: NDArray[np.int64]
+    band_draws: Floats
+
+
+def fit_spectrum(
+    data: BandData, spectra: MeasuredSpectra, ln_blocking_sd: float, draws: int, rng: np.random.Generator
+) -> SpectrumPosterior:
+    """Return draws of the emission under the learned prior.
+
+    Two passes: all components with one size of the departure and the filters' tolerances at a paint that only reflects,
+    then the best with all sizes and a second dye, and with the tolerances at the mean of the first.
+
+    Parameters
+    ----------
+    data
+        Band values with covariance, usable entries and the rig's weights.
+    spectra
+        What was learned.
+    ln_blocking_sd
+        Uncertainty of the filters' blocking, as the logarithm of a multiplier around 1.
+    draws
+        Number of draws.
+    rng
+        Source of all randomness.
+    """
+    return draw_spectra(scored_components(data, spectra, ln_blocking_sd), draws, rng)
+
+
+def draw_spectra(fitted: ScoredSpectra, draws: int, rng: np.random.Generator) -> SpectrumPosterior:
+    """Draw component, height and departures, nowhere below zero, and check the bands.
+
+    Parameters
+    ----------
+    fitted
+        The mixture.
+    draws
+        Number of draws.
+    rng
+        Source of all randomness.
+    """
+    rig, scored, columns, data = fitted.rig, fitted.scored, fitted.columns, fitted.rig.data
+    picked = rng.choice(scored.chosen.size, draws, p=scored.weight)
+    curves, both, paint = np.empty((draws, rig.emission.shape[1])), np.empty((draws, 2)), np.empty((draws, rig.y.size))
+    for rows in np.array_split(np.argsort(picked), -(-draws // _AT_ONCE)):
+        curves[rows], both[rows], paint[rows] = _cut_draws(fitted, picked[rows], rng)
+    predicted = fitted.bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
+    # what is uncertain beside noise and paint, given their sum
+    pulls = rng.standard_normal((draws, columns.shape[1]))
+    noise_root = np.linalg.cholesky(data.covariance[np.ix_(data.kept, data.kept)])
+    left = rig.y - paint - pulls @ columns.T - rng.standard_normal(paint.shape) @ noise_root.T
+    pulls += left @ np.linalg.solve(fitted.noise, columns)
+    return SpectrumPosterior(
+        curves,
+        both[:, 1],
+        pulls[:, : data.weights.bands],
+        scored.ln_evidence,
+        float(1 / (scored.weight**2).sum()),
+        *_checked(rig, predicted, scored.inverse[picked]),
+        components=picked,
+        band_draws=paint,
+    )
+
+
+def _cut_draws(
+    fitted: ScoredSpectra, picked: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
+    """Return one cut curve of each component picked, its height and reflectance, and its bands without error."""
+    signed, both, positive, bands = _normal_draws(fitted, np.tile(picked, 1 + _EXCHANGES), rng)
+    curves = np.maximum(signed, 0.0)
+    paint = bands + (curves - signed) @ fitted.rig.emission.T
+    ln = np.where(positive, _chi_square(fitted, bands) / 2 - _chi_square(fitted, paint) / 2, _NO_WEIGHT)
+    kept = np.arange(picked.size)
+    for proposed in np.arange(picked.size, ln.size).reshape(_EXCHANGES, -1):
+        accepted = -rng.standard_exponential(picked.size) < ln[proposed] - ln[kept]
+        kept = np.where(accepted, proposed, kept)
+    return curves[kept], both[kept], paint[kept]
+
+
+def _normal_draws(
+    fitted: ScoredSpectra, picked: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
+    """Return the same of the normal posterior, by Matheron's rule, and whether height and reflectance are positive.
+
+    Where they are not, their sizes are taken, so that something is left where no draw is positive.
+    """
+    rig, scored = fitted.rig, fitted.scored
+    roots = np.linalg.cholesky(np.linalg.inv(scored.precision[picked]))
+    both = scored.height[picked] + np.einsum("nij,nj->ni", roots, rng.standard_normal((picked.size, 2)))
+    positive, both = (both > 0).all(axis=1), np.abs(both)
+    noise = rng.standard_normal((picked.size, rig.y.size)) @ np.linalg.cholesky(fitted.noise).T
+    curves = np.empty((picked.size, fitted.parts.wavelength_nm.size))
+    bands = fitted.bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
+    for p in np.unique(picked):
+        rows = np.flatnonzero(picked == p)
+        v = fitted.directions(int(p))
+        seen = v @ rig.emission.T
+        z = rng.standard_normal((rows.size, len(v)))
+        misfit = rig.y - bands[rows] - z @ seen - noise[rows]
+        z += misfit @ scored.inverse[p] @ seen.T
+        curves[rows] = fitted.parts.curves[scored.chosen[p]] * both[rows, :1] + z @ v
+        bands[rows] += z @ seen
+    return curves, both, positive, bands
+
+
+def _chi_square(fitted: ScoredSpectra, bands: Floats) -> Floats:
+    """Return the chi-square (n,) of the measured bands about (n, K) others."""
+    whitened = (fitted.rig.y - bands) @ np.linalg.cholesky(np.linalg.inv(fitted.noise))
+    return np.asarray((whitened**2).sum(axis=1))
+
+
+def _checked(
+    rig: Rig, predicted: Floats, inverses: Floats
+) -> tuple[Floats, NDArray[np.int64], Floats, float, Floats, Floats]:
+    """Return chi-square, channels and predictive p of each band, the total, and mean and sd of the prediction."""
+    data, residual = rig.data, rig.y - predicted
+    some = slice(None, None, max(1, len(predicted) // 200))
+    residual, covariance = residual[some], np.linalg.inv(inverses[some])
+    checks = chi_square_of_bands(residual, covariance, data.weights.band_index[data.kept], data.weights.bands)
+    total = float(np.einsum("ni,nij,nj->n", residual, inverses[some], residual).mean())
+    mean, sd = np.zeros(data.y.size), np.zeros(data.y.size)
+    mean[data.kept] = predicted.mean(axis=0)
+    measured = np.diag(data.covariance)[data.kept]
+    variance = predicted.var(axis=0, ddof=1) + np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0) - measured
+    sd[data.kept] = np.sqrt(np.maximum(variance, 0.0))
+    return *checks, total, mean.reshape(data.y.shape), sd.reshape(data.y.shape)
 
 
 @dataclass(frozen=True)

@@ -37,10 +37,14 @@ from threadpoolctl import threadpool_limits
 
 from data_schemas import EXTRAPOLATION_UNCERTAINTY_REL, BandSignals, FitError, PaintCalibration, percent
 from finray_calib.fit._band_data import BandData, band_data
-from finray_calib.fit._drawn_spectra import SpectrumPosterior, draw_spectra
 from finray_calib.fit._measured_spectra import ScoredSpectra, height_prior, learned_spectra, scored_components
 from finray_calib.fit._prior import EmissionPrior
-from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE, conserving_draws
+from finray_calib.fit._reported_spectrum import (
+    MEASURED_SPECTRA_TITLE,
+    SpectrumPosterior,
+    conserving_draws,
+    draw_spectra,
+)
 from finray_calib.spectra import curve_quantities, extrapolated_shares
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,9 @@ from benchmarks.emission_detection import REFLECTANCES, Rig, bell
 from data_schemas import BandUncertainty, FieldError
 from finray_calib.fit import band_data
 from finray_calib.fit._band_data import band_values
-from finray_calib.fit._drawn_spectra import fit_spectrum
 from finray_calib.fit._filter_design import _known_rig
 from finray_calib.fit._measured_spectra import band_errors, components_of, learned_spectra, random_paints
+from finray_calib.fit._reported_spectrum import fit_spectrum
 from finray_calib.spectra import WAVELENGTH_NM, curve_quantities
 
 PAINTS, ERROR_RATE, LN_BLOCKING_SD = 60, 1e-3, 0.5

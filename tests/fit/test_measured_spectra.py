@@ -10,7 +10,6 @@ from benchmarks.drawn_paints import paint_of_the_learned_prior
 from data_schemas import BandSignals
 from finray_calib.fit import band_data
 from finray_calib.fit._band_data import BandData, band_values
-from finray_calib.fit._drawn_spectra import draw_spectra, fit_spectrum
 from finray_calib.fit._measured_spectra import (
     LEAST_CURVES_OF_A_PROTOTYPE,
     components_of,
@@ -19,7 +18,7 @@ from finray_calib.fit._measured_spectra import (
     prior_curves,
     scored_components,
 )
-from finray_calib.fit._reported_spectrum import prior_share, simultaneous_band
+from finray_calib.fit._reported_spectrum import draw_spectra, fit_spectrum, prior_share, simultaneous_band
 from finray_calib.spectra import curve_quantities, rig_emission_weights
 from tests.fit.synthetic_bands import orange, simulate
 

@@ -11,9 +11,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.emission_detection import REFLECTANCES, Rig, bell
 from data_schemas import FitError
 from finray_calib.fit import BUDGETED, FitOptions, band_data, calibrate_paint, uncertainty_budget
-from finray_calib.fit._drawn_spectra import draw_spectra
 from finray_calib.fit._measured_spectra import height_prior, learned_spectra, scored_components
-from finray_calib.fit._reported_spectrum import conserving_draws
+from finray_calib.fit._reported_spectrum import conserving_draws, draw_spectra
 from finray_calib.fit._uncertainty_budget import (
     DRAWS,
     UncertaintySource,
