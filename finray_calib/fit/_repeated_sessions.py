@@ -42,6 +42,10 @@ That of the level decides how often the intervals of two or three sessions hold:
 _SESSION_NAME: Final = "session.json"
 """Name of the record of a captured session in the origin of its band signals (of imported images there is none)."""
 DEPARTS_P: Final = 0.001
+TWO_SESSIONS: Final = (
+    "two sessions hardly tell how much sessions scatter, so the interval of the level is several times as wide as that "
+    "of one session alone; a third session narrows it"
+)
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
 
 
@@ -176,6 +180,7 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
         f"{len(scatter.session_levels_rel)} sessions combined; the standard deviation between sessions is "
         f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter in addition "
         f"(95 %); levels of the sessions: {levels}",
+        *((TWO_SESSIONS,) if len(scatter.session_levels_rel) == 2 else ()),
         *outlying_session_warnings(scatter),
     )
 

@@ -179,7 +179,7 @@ def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> 
             raise FitError(
                 f"'{paint.paint_name}': these band signals do not reproduce this calibration ({name} "
                 f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so no budget can be made "
-                f"from them; give the band signals that it was fitted to"
+                f"from them; give the band signals that it was fitted to, or fit them again if an earlier version did"
             )
 
 

@@ -166,7 +166,8 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            text = f"all steps and frames from before the repair agree with the new ones ({100 * SAME_SHARE:.0f} %)"
+            agree = f"agree within {100 * SAME_SHARE:.0f} % with what the mended rig gives"
+            text = f"the meterings and frames from before the repair {agree}"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
             self._set_aside(unlike)

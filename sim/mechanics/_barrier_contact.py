@@ -274,18 +274,21 @@ class Drive:
     def __init__(self, node: int, axis: int, stiffness_n_per_mm: float = 1e4, met_mm: float = 1e-4) -> None:
         self.target_mm = 0.0
         self._node, self._axis, self._k, self._met, self._force = node, axis, stiffness_n_per_mm, met_mm, 0.0
-        self._kept = [(0.0, 0.0)]  # targets and forces of the last two accepted states
+        self._kept = [(0.0, 0.0)]  # targets and forces of the last two accepted states, where their forces were found
+        self._is_found = False
 
     def aim(self, target_mm: float) -> None:
         """Set the target of an increment that begins, or begins again, where the last accepted state is."""
-        self.target_mm = target_mm
-        (before, weaker), (now, self._force) = self._kept[0], self._kept[-1]
-        if now != before:
-            self._force += (self._force - weaker) / (now - before) * (target_mm - now)
+        self.target_mm, self._force = target_mm, self._kept[-1][1] if self._kept else 0.0
+        self._is_found = len(self._kept) == 2
+        if self._is_found:
+            (before, weaker), (now, stronger) = self._kept
+            if now != before:
+                self._force += (stronger - weaker) / (now - before) * (target_mm - now)
 
     def keep(self) -> None:
-        """Remember target and force of a state that is accepted."""
-        self._kept = [self._kept[-1], (self.target_mm, self._force)]
+        """Remember target and force of a state that is accepted; a stored one has met its target without its force."""
+        self._kept = [*self._kept[-1:], (self.target_mm, self._force)] if self._is_found else []
 
     def _off(self, u: FloatArray) -> float:
         return float(u[self._node, self._axis]) - self.target_mm
@@ -314,7 +317,9 @@ class Drive:
         """Renew the force at an equilibrium; return whether the target was met."""
         off = self._off(u)
         self._force += self._k * off
-        return abs(off) <= self._met
+        is_met = abs(off) <= self._met
+        self._is_found |= not is_met
+        return is_met
 
 
 class DrivenContact:

@@ -149,6 +149,22 @@ def test_the_drive_foresees_its_force_where_it_has_met_two_targets():
         drive.settle(u + 0.1)
 
 
+def test_the_drive_foresees_nothing_from_a_stored_state_whose_force_it_never_found():
+    # 5 N at 2 mm after a state at 1.98 mm that was read from a record: its slope would be 250 N/mm
+    drive, u = Drive(0, 1), np.zeros((1, 3))
+    drive.aim(-1.98)
+    u[0, 1] = -1.98 + 1e-6
+    assert drive.settle(u)
+    drive.keep()
+    drive.aim(-2.0)
+    u[0, 1] = -2.0
+    drive.settle(u + (5.0 - drive.gradient(u)) / 1e4)
+    drive.keep()
+    drive.aim(-2.5)
+    u[0, 1] = -2.5
+    assert drive.gradient(u)[0, 1] == pytest.approx(5.0)
+
+
 def test_an_obstacle_inside_is_refused():
     block = pad()
     facets = body_mesh(BODY, 0.05, 4.0)

@@ -64,6 +64,7 @@ def test_two_sessions_hold_their_level_as_often_as_stated_at_the_largest_scatter
         together, _ = combine_sessions([session(rng, 0.0, 0.0, apart / 2), session(rng, 0.0, 0.0, -apart / 2)])
         _, sd = level_of(together)
         held.append(2 * norm.cdf(1.96 * sd / (largest / np.sqrt(2))) - 1)
+        assert any("a third session narrows it" in note for note in together.notes)
     # 0.95 by a prior of 5 %; 0.91 by one of 3 %
     assert np.mean(held) > 0.93
 
