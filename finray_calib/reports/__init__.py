@@ -1,4 +1,4 @@
-"""From stored records to figures, tables, sentences and self-contained pages; no other package imports matplotlib or jinja2.
+"""Figures, tables, sentences and self-contained pages, from records; no other package imports matplotlib or jinja2.
 
 A page is one HTML file with everything inside, the verdict first, readable without scripts; it is made of sections, and
 sections of pictures and tables. Every sentence is computed from the records, no number shows more digits than its
