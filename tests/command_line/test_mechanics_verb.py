@@ -371,7 +371,10 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     path = small_ball(tmp_path, 2.0, 0.1)
     outcome = finray(f"simulate press {path} --force 0.05 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
-    assert "where the press to a force begins, the indenter touches no node of the coat" in outcome.err
+    assert (
+        "with --force a press begins at a push of 0.1 mm, and there the indenter touches no node of the coat"
+        in outcome.err
+    )
     assert (tmp_path / "b.mechanics.png").exists()
 
 

@@ -264,7 +264,7 @@ def test_the_verb_writes_all_parts_once(tmp_path):
         f"{p}.{s}" for p in parts for s in ("step", "stl")
     ]
     assert "skeleton.stl and skeleton.step: 44.0 x 24.5 x 84.8 mm (x, y, z)" in told
-    assert "lay a sheet of 0.1 mm on its bottom" in told
+    assert "lay a smooth sheet of 0.1 mm on the floor inside" in told
     assert (tmp_path / "print" / "skeleton.stl").read_bytes() == part_stl(preset_design("flat-70x35"))
     assert (tmp_path / "print" / "skeleton.step").read_bytes() == step_of("flat-70x35", "skeleton")
     again = finray(f"design export {tmp_path}/finger.toml --out {tmp_path}/print")
