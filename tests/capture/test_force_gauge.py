@@ -124,7 +124,7 @@ def test_session_begins_at_the_empty_cell_of_its_calibration():
     with open_tactile_rig(rig, Path()) as opened:
         opened.lay(0.2)  # 2 N of the limit of 5 N
         gauge = ForceGauge(opened.load_cell, rig.load_cell, exact_calibration(rig))
-        with pytest.raises(CaptureError, match=r"a wire of its bridge is broken, or it is another cell"):
+        with pytest.raises(CaptureError, match=r"a wire of its bridge is broken, or this is another cell"):
             gauge.begin(opened.clock.monotonic_s)
 
 
