@@ -121,18 +121,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
     ],
 )
