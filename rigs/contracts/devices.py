@@ -254,7 +254,7 @@ FILTER_READINGS = 4
 
 
 def _require_zero(stage: Stage) -> None:
-    """Skip the test unless a person at the terminal says that the stage stands at its zero."""
+    """Skip the test unless a person at the terminal says that the stage is at its zero."""
     where = ", ".join(f"{axis} {at_mm:.3f} mm" for axis, at_mm in sorted(stage.counted_mm().items()))
     if not TerminalOperator().allows(
         f"The stage reports its position as {where}. The test moves it by the positions of the rig file, and a wrong "
@@ -262,7 +262,7 @@ def _require_zero(stage: Stage) -> None:
         "counts positions, and is the way to clear_mm free?"
     ):
         pytest.skip(
-            "NOT TESTED: nobody confirmed that the stage stands at its zero, so it did not move; bring it there, run "
+            "NOT TESTED: nobody confirmed that the stage is at its zero, so it did not move; bring it there, run "
             "pytest with -s in a terminal, and type yes when asked"
         )
 

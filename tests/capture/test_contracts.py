@@ -188,7 +188,7 @@ def test_stage_without_switches_moves_only_after_yes(tmp_path: Path) -> None:
     unasked = subprocess.run(
         command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
-    assert "NOT TESTED: nobody confirmed that the stage stands at its zero" in unasked.stdout
+    assert "NOT TESTED: nobody confirmed that the stage is at its zero" in unasked.stdout
     assert " passed" not in unasked.stdout
     for answer, ends in ((b"no\n", b"1 skipped"), (b"yes\n", b"1 passed")):
         ours, theirs = pty.openpty()
