@@ -525,7 +525,8 @@ class TactilePlan(Record):
         default=2, description="number of images before and after each press"
     )
     exposures_s: tuple[ExposureS, ...] = Field(
-        default=(), description="exposures of every image; over MJPEG a single one, which is set at the camera's server"
+        default=(),
+        description="exposures of every image; over MJPEG write one, the exposure set at the camera's server",
     )
     bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
         default=None,
@@ -575,8 +576,8 @@ class TactileFrame(Model):
     file: str = Field(pattern=r"^frames/[A-Za-z0-9_.-]+\.tiff$")
     frame_type: TactileFrameType
     place: Annotated[int, Field(ge=0)] = Field(
-        description="number of the contact, counted from 1. A no-contact image has that of the contact before it "
-        "(0 where there is none), a board image that of the board's place"
+        description="number of the contact, counted from 1. For a no-contact image the number of the "
+        "contact before it (0 if none), for a board image the number of the board's place"
     )
     exposure_requested_s: ExposureS
     exposure_s: ExposureS | None = Field(description="as the camera reports it; none where it does not")

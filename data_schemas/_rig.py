@@ -99,8 +99,8 @@ DriverName = Annotated[
     AfterValidator(_driver_name),
     Field(
         json_schema_extra={"pattern": f"^{DRIVER_NAME}$"},
-        description="driver of finray-calib or of a package that is installed beside it; 'finray doctor' lists those "
-        "of packages",
+        description="name of a driver of finray-calib, or of another installed package ('finray doctor' lists the "
+        "latter)",
     ),
 ]
 BayerPattern = Literal["RGGB"]

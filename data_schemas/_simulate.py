@@ -522,9 +522,13 @@ class FingerSurfaces(Record):
 
     @model_validator(mode="after")
     def _counts_add_up(self) -> "FingerSurfaces":
-        for counts, rows in ((self.vertex_counts, self.vertices_mm), (self.triangle_counts, self.triangles)):
+        for counted, rows in (("vertex", self.vertices_mm), ("triangle", self.triangles)):
+            counts: Counts = getattr(self, f"{counted}_counts")
             if (counts < 0).any() or counts.sum() != len(rows):
-                raise ValueError(f"the counts of the parts add up to {counts.sum()}, but there are {len(rows)} rows")
+                raise ValueError(
+                    f"{counted}_counts must be at least 0 and add up to the {len(rows)} {counted} rows; they add up to "
+                    f"{counts.sum()}, so the record is damaged: compute the press again"
+                )
         return self
 
 

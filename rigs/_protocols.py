@@ -422,7 +422,7 @@ class TerminalOperator:
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             return False
         discard_typed_input()
-        sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else ends the capture here. ")
+        sys.stderr.write(f"\n{question}\nType yes and press Enter; anything else counts as no. ")
         sys.stderr.flush()
         return sys.stdin.readline().strip().lower() == "yes"
 

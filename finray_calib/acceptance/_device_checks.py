@@ -212,8 +212,9 @@ NO_PULSES: Final = (
     "the photodiode's firmware looks for 0.1 ms in each 10 ms only, so a pulsed laser may look off; flash version 1.1"
 )
 UNSEEN_LASER: Final = (
-    "no instrument saw the laser go off: behind the filter that passes it, the camera saw no difference between on "
-    "and off, or more than dark when it was reported off (see stray light); let a camera or photodiode see it"
+    "no instrument saw the laser go off: stray light was not measured, or behind the filter that passes the laser the "
+    "camera saw no clear difference between laser on and off, or still saw light with the laser reported off; place a "
+    "photodiode or the camera where it sees the laser, and check again"
 )
 DARK_SD: Final = 6.0
 """Standard deviations of the mean of a dark frame: by noise one is beyond once in 10^9."""

@@ -174,8 +174,8 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     most = min(MOST_TEACHING, len(names) - 1)
     if not 1 <= count <= most:
         raise CompareError(
-            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and it is judged on those that "
-            f"are not used for training"
+            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and the simulator is judged on "
+            "those that are not used for training"
         )
     taught = [names[i] for i in spread_over(len(names), count)]
     seen = {contact_sha256(captures[name]) for name in taught}
@@ -215,7 +215,8 @@ def _presses(
     unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
     if unasked:
         raise CompareError(
-            f"{renders}: {unasked[0]} is not one of the judged presses; render those of {protocol / 'judge'}"
+            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only those of "
+            f"{protocol / 'judge'}"
         )
     rendered = read_renders(renders, {name: captures[name] for name in judged})
     missing = sorted(set(judged) - rendered.keys())

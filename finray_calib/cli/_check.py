@@ -207,8 +207,8 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:
         raise RecordError(
-            f"{path}: the header names {', '.join(columns) or 'nothing'}; it must name sample, session, and "
-            "paint or value, and may name mount"
+            f"{path}: the columns of the header are {', '.join(columns) or 'missing'}; needed are sample, session, and "
+            "paint or value (mount is optional)"
         )
     found = []
     for line, cells in rows:
@@ -307,7 +307,7 @@ def _require_different(paths: list[Path]) -> None:
     first: dict[str, Path] = {}
     for path in paths:
         if (other := first.setdefault(digest_of_input(path), path)) is not path:
-            raise FinrayError(f"{other} and {path}: are the same calibration; give each coat once, by its own session")
+            raise FinrayError(f"{other} and {path}: are the same calibration; give one calibration for each coat")
 
 
 def run_equivalence(arguments: argparse.Namespace) -> int:
@@ -404,12 +404,12 @@ def _facts(folder: Path) -> "list[SessionFacts]":
 
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "no such folder"
-        raise CaptureError(f"{folder}: {what}; give a folder whose folders were written by 'finray capture'")
+        raise CaptureError(f"{folder}: {what}; give the folder that holds the session folders of 'finray capture'")
     places = sorted({path.parent for pattern in DEPTHS for path in folder.glob(pattern)})
     paint = [place for place in places if session_kind(place) == "paint"]
     if not paint:
         raise CaptureError(
-            f"{folder}: holds no paint session; give a folder whose folders were written by 'finray capture'"
+            f"{folder}: holds no paint session; give the folder that holds the session folders of 'finray capture'"
         )
     facts = []
     with progress_bar("history") as progress:
@@ -515,7 +515,7 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     stem = path.name.removesuffix(".json").removesuffix(".paint")
     page = arguments.out or path.with_name(f"{stem}.certificate.html")
     if page.suffix != ".html":
-        raise FinrayError(f"{page}: must be a page: choose an --out that ends in .html; the PDF is written beside it")
+        raise FinrayError(f"{page}: must end in .html; choose another --out (the PDF is written beside the page)")
     require_new(page)
     pdf = require_new(page.with_suffix(".pdf"))
     paint = read_record(path, PaintCalibration)

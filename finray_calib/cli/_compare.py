@@ -100,8 +100,8 @@ def run(arguments: argparse.Namespace) -> None:
             if not is_folder and not path.exists():
                 raise CompareError(f"{path}: no such file or folder; give two records or folders")
         raise CompareError(
-            f"{' and '.join(str(path) for path in records)}: some are folders, others are not; give two records or "
-            "folders"
+            f"{' and '.join(str(path) for path in records)}: some are folders, others are not; give two records, "
+            "or folders only"
         )
     if len(records) > 2 and not any(folders):
         raise CompareError(
@@ -169,7 +169,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--known-first-touch", action="store_true",
-        help="with --force: displacements are measured from first touch, which is not fitted",
+        help="with --force: the measured displacements count from first touch, so where first touch is must not be "
+        "fitted",
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
@@ -185,7 +186,7 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     records: list[Path] = arguments.records
     if len(records) != 1 or arguments.pairs is not None:
         raise CompareError(
-            "--force compares one record with a CSV: give NAME.mechanics.json, no CAPTURE and no --pairs"
+            "--force compares one record with a CSV: give NAME.mechanics.json alone, without CAPTURE and --pairs"
         )
     of_images = (arguments.register, arguments.despite_mismatch, arguments.relative, arguments.metric)
     if any(of_images) or arguments.normal_map is not None:
@@ -227,4 +228,4 @@ def refuse_force_options(arguments: argparse.Namespace) -> None:
     from data_schemas import CompareError
 
     if arguments.known_first_touch or arguments.other_mesh is not None:
-        raise CompareError("--known-first-touch and --other-mesh belong to --force CSV; add it, or leave them out")
+        raise CompareError("--known-first-touch and --other-mesh belong to --force CSV; add --force, or leave them out")

@@ -227,7 +227,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
 
     if arguments.number is not None or arguments.keep:
         raise FitError(
-            "--number, --keep: are for a rig (TOML); for a paint (JSON) single filters are ranked; leave them out"
+            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), which ranks single filters"
         )
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
@@ -566,7 +566,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     design, files, folder = _finger_or_sensor(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.light-powers.json"), ".json")
     if len(arguments.axes) not in (0, 2) or (arguments.axes and isinstance(design, PlainSensor)):
-        raise SimulateError("--map: give it twice, once for each of two numbers of a finger, or leave it out")
+        raise SimulateError("--map: needs two numbers of a finger; give --map once for each of them, or leave it out")
     lights, share = powered_lights(design)
     low, high = (np.full(len(lights), limit) for limit in arguments.power_range)
     with naming(FinrayError, arguments.design), progress_bar(f"lights of {design.name}") as progress:

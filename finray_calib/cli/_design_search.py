@@ -137,7 +137,12 @@ def add_assess(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
                         "60x30")  # fmt: skip
     add_paint(assess)
     add_paints_as_given(assess)
-    assess.add_argument("--quick", action="store_true", help="fewer paths and fingers, for a first look")
+    assess.add_argument(
+        "--quick",
+        action="store_true",
+        help="fewer light paths and fingers with drawn tolerances, and no "
+        "change of the assumed dimensions: a first result",
+    )
     add_engine(assess, is_scalar_enough=False)
     assess.add_argument("--out", type=Path, metavar="DIR", help="default: NAME.assessed")
     add_seed(assess)

@@ -516,6 +516,6 @@ def _one_paint(arguments: argparse.Namespace) -> Path:
             "DESIGN --dialect calculix"
         )
     if len(arguments.paint) > 1:
-        raise RecordError(f"{len(arguments.paint)} files are given; export writes one paint at a time")
+        raise RecordError(f"{len(arguments.paint)} files are given, but one paint is written at a time; give one file")
     paint: Path = arguments.paint[0]
     return paint

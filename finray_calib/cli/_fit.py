@@ -578,7 +578,7 @@ def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceM
         return model
     sizes, plates = found.groups()[:3], found.group(4).lower()
     if plates not in _PLATES:
-        raise CompareError(f"--on {given}: plates are {', '.join(_PLATES)}, not {plates}")
+        raise CompareError(f"--on {given}: plates cannot be {plates!r}; give one of {', '.join(_PLATES)}")
     try:
         edges = [float(size) for size in sizes]
     except ValueError:

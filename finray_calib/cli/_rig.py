@@ -262,7 +262,7 @@ def _init_finger(out: Path, simulated: bool) -> None:
         left = ["camera, stage, load_cell: addresses, as 'finray rig detect' lists them",
                 "stage: clear_mm, base_mm, press_travel_mm and pad_travel_mm are those of the simulated finger: home "
                 "your stage, move it by hand and enter its places; wrong values drive the indenter into the bench",
-                "stage: axes, into_pad, from_base: the signs of your axes",
+                "stage: press_axis and pad_axis are your axes, into_pad and from_base the signs of their directions",
                 "load_cell: capacity_n and force_limit_n"]  # fmt: skip
         give(rig=str(out), to_fill_in=left)
         for text in left:

@@ -190,14 +190,14 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     if not (folder / "session.json").exists():
         raise CompareError(
             f"{folder}: holds no tactile session (session.json); give the folder that 'finray capture' wrote, or "
-            "pictures of the board, and with --pad that of the board on the pad"
+            "pictures of the board, the one of the board on the pad with --pad"
         )
     session = read_record(folder / "session.json", TactileSession)
     board = session.plan.board
     if board is None or not board.on_pad:
         raise CompareError(
             f"{folder}: its plan does not state that the first picture shows the board on the pad ([board], "
-            "on_pad = true); give the pictures by name, and with --pad that of the board on the pad"
+            "on_pad = true); give the pictures by name, the one of the board on the pad with --pad"
         )
     chosen: list[Path] = []
     for place in range(1, board.images + 1):
@@ -211,7 +211,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
         elif place == 1:
             raise CompareError(
                 f"{folder}: holds no picture of the board on the pad (was the session interrupted?): "
-                "capture it again, or give the pictures by name, and with --pad that of the board on the pad"
+                "capture it again, or give the pictures by name, the one of the board on the pad with --pad"
             )
     return board, chosen[0], chosen[1:]
 
@@ -232,8 +232,8 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
     missing = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is None]
     if missing:
         raise CompareError(
-            f"{', '.join(missing)}: missing; without the size of the printed squares no length can be measured: give "
-            f"them (mm), or --plan with a [board] table"
+            f"{', '.join(missing)}: missing; without the printed squares no length can be measured: give their number "
+            "and their size (mm), or --plan with a [board] table"
         )
     along, separator, across = given["squares"].partition("x")
     if not separator or not along.isdigit() or not across.isdigit():

@@ -403,7 +403,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
         raise SimulateError(
-            f"{arguments.design}: is a classic sensor; {', '.join(given)} is for painted fingers only, leave it out"
+            f"{arguments.design}: is a classic sensor; leave out {', '.join(given)}, for painted fingers only"
         )
     out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
@@ -560,7 +560,8 @@ def _store_images(
         write_record(products.capture, capture, origin, stored)
         write_record(press, out, origin, stored)
     wrote(out, press.label)
-    wrote(capture, f"raw counts of {press.design.camera.bit_depth if press.design else 0} bit, for 'finray compare'")
+    depth = f"{press.design.camera.bit_depth}-bit " if press.design else ""
+    wrote(capture, f"{depth}raw counts, for 'finray compare'")
     wrote(folder, "images; README.txt in this folder explains each of them")
     say(str(products.colours))
     _give_press(press, out)

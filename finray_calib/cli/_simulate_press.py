@@ -231,7 +231,7 @@ def run_press(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"{changed[0]}: was changed while the press was computed from it; run the command again")
     _store(design, pressed, said, files, origin, folder)
     if unvaried:
-        raise SimulateError(f"{unvaried}. The press itself is stored; for these, try a smaller push")
+        raise SimulateError(f"{unvaried}. The press itself is stored; for its sensitivities, try a smaller push")
 
 
 def _answered(
@@ -592,8 +592,8 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
-            f"{path} moves the indenter from first touch with penalty contact and finray's own elements; leave it out, "
-            f"or leave out --force, --resume, --sensitivities, --contact barrier and --engine"
+            f"{path} moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            f"{path}, or --force, --resume, --sensitivities, --contact barrier and --engine"
         )
     if arguments.sensitivities and (calculix or resumes):
         raise SimulateError(
@@ -601,7 +601,7 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
-            "--budget is for one press with finray's own elements; leave it out, or leave out --engine calculix and "
+            "--budget is for one press with finray's own elements; leave out --budget, or --engine calculix and "
             "--sensitivities"
         )
     if calculix and resumes:

@@ -93,7 +93,10 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
     normal, right = np.zeros((_TERMS, _TERMS)), np.zeros((_TERMS, 3))
     for capture, distance in zip(captures, distances, strict=True):
         if distance.shape != shape:
-            raise CompareError(f"{capture.name}: has another size than {captures[0].name}; train with one camera")
+            raise CompareError(
+                f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px, {captures[0].name} {shape[1]} x "
+                f"{shape[0]} px; train with captures of one camera"
+            )
         contact, level = levelled_images(capture, distance)
         used = _near(distance) & np.isfinite(contact + level).all(axis=-1) & (level > 0.0).all(axis=-1)
         used[np.arange(shape[0]) % _STRIDE_PX > 0] = False
@@ -140,11 +143,15 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     if contact_sha256(capture) in table.training_sha256:
         raise CompareError(
             f"{capture.name}: its contact image was used to train the table ({', '.join(table.training_presses)}), so "
-            "its prediction for this press proves nothing"
+            "the table's prediction of this press proves nothing; leave the press out"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
-        raise CompareError(f"{capture.name}: has another size than the training presses of the table")
+        height_px, width_px = table.shape_px
+        raise CompareError(
+            f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px, the training presses of the table are "
+            f"{width_px} x {height_px} px; compare captures of the same camera"
+        )
     ratio = np.ones((*distance.shape, 3))
     near = np.flatnonzero(_near(distance))
     for part in np.array_split(near, max(1, len(near) // _PIXELS_AT_ONCE)):

@@ -552,6 +552,6 @@ def check_metric(metric: Metric) -> None:
         raise plug_in.refusal("depends on pixels outside the region")
     if (perfect > nothing) != (metric.BETTER == "higher"):
         raise plug_in.refusal(
-            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for doing nothing, but "
+            f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for the image without contact, but "
             f"declares that {metric.BETTER} is better"
         )

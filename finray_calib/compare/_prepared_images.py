@@ -179,7 +179,7 @@ def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedP
     if press.encoding != "linear" or capture.encoding != "linear":
         raise CompareError(
             f"--relative: needs linear values on both sides; {press.name} holds {press.encoding} and {capture.name} "
-            f"{capture.encoding} ones. Leave it out: a render is compared with encoded captures in this way anyway"
+            f"{capture.encoding} ones. Leave --relative out: encoded captures are always compared in this way"
         )
     rest = rgb_image(capture.no_contact, capture)
     if press.no_contact.shape != rest.shape:
@@ -496,6 +496,6 @@ def _require_same_push(name: str, rendered: Indenter, capture: TactileCapture) -
         if captured_mm is not None and abs(rendered_mm - captured_mm) > allowed_mm:
             raise CompareError(
                 f"{name} is pressed {rendered_mm:g} mm {where}, {capture.name} {captured_mm:g} mm; the {what} may "
-                f"differ by at most {allowed_mm:.2g} mm: simulate with the capture's indenter.{field}, or, if it is "
-                f"not known so well, state {field.removesuffix('_mm')}_uncertainty_mm in the capture"
+                f"differ by at most {allowed_mm:.2g} mm: simulate with the capture's indenter.{field}, or, if that "
+                f"is known less well, state {field.removesuffix('_mm')}_uncertainty_mm in the capture"
             )

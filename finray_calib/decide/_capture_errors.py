@@ -130,22 +130,22 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
         raise DecideError(
             f"the report on {report.captured} was made despite a mismatch, so its brightness error is not "
             f"that of the simulation ({'; '.join(report.findings)}): correct the capture and compare again, "
-            "or leave it out"
+            "or leave the report out"
         )
     if report.relative:
         raise DecideError(
             f"the report on {report.captured} is relative: it judges the change by contact alone, and not the light "
-            "of the render, on which the angle depends. Compare again without --relative, or leave it out"
+            "of the render, on which the angle depends. Compare again without --relative, or leave out the report"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
             f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
-            "paints and camera: render it with 'finray simulate render --paint' and compare again"
+            "paints and camera: render the press with 'finray simulate render --paint' and compare again"
         )
     if report.objective_error is None:
         raise DecideError(
-            f"the report on {report.captured} carries no brightness error, because its values are "
-            f"'{report.values}' on both sides: render it in linear light ('finray simulate render') and compare again"
+            f"the report on {report.captured} carries no brightness error, because its values are '{report.values}' on "
+            "both sides: render the press in linear light ('finray simulate render') and compare again"
         )
     if report.light_angle_deg is None:
         raise DecideError(
@@ -383,8 +383,9 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     first = owns[0]
     if report.finger is None:
         return 0, [
-            f"the report on {report.captured} does not say which finger was rendered (it was written by an "
-            f"older version, or the press has no design): whether it is '{first.name}' was not checked"
+            f"the report on {report.captured} does not say which finger was rendered (an older version wrote the "
+            f"report, or the press has no design), so it was not checked whether it is '{first.name}'; compare again, "
+            "with a press that has a design, to have it checked"
         ]
     if report.finger.version != first.version:
         return 0, [

@@ -232,8 +232,8 @@ def most_uniform_powers(spread: Floats, level: Floats, limits: PowerLimits) -> O
             return OptimalPowers(limits.brightest(at), variance, gap)
         corners = np.column_stack([corners, corner])
     raise DecideError(
-        f"the most even powers were not found in {_MOST_STEPS} steps (bound {gap:.2g} of {variance:.2g}); give wider "
-        "limits, or fewer lights"
+        f"the most even powers were not found in {_MOST_STEPS} steps (at most {gap:.2g} of the variance "
+        f"{variance:.2g} is left to gain); give wider limits, or fewer lights"
     )
 
 

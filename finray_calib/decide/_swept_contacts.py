@@ -161,7 +161,7 @@ def swept_contacts(
         The sweeps do not belong together, the weights do not fit, or angles look like radians.
     """
     if not sweeps:
-        raise DecideError("no sweep is given; give the sweep of each touch, or one alone")
+        raise DecideError("no sweep is given; give one sweep, or one for each touch")
     weights = None if weights is None else _weights(weights, len(sweeps))
     for sweep in sweeps:
         if look_like_radians(sweep.angles_deg) and not narrow_sweep:
@@ -172,7 +172,7 @@ def swept_contacts(
         twice = next(sweep for number, sweep in enumerate(sweeps) if touches[number] in touches[:number])
         raise DecideError(
             f"two sweeps belong to the same touch (position_mm = {twice.design.indenter.position_mm:g} mm): "
-            "it would count twice. Give each sweep once, and its weight by --weights"
+            "the touch would count twice. Give each sweep once, and its weight by --weights"
         )
     return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
 

@@ -129,5 +129,5 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     tiff = content[:4] in TIFF_STARTS
     image = tiff_image(content, path, ImportFormatError) if tiff else decoded_picture(content, path, ImportFormatError)
     if image.dtype not in (np.uint8, np.uint16):
-        raise ImportFormatError(f"{path}: is not a picture of 8 or 16 bits; give DNG, TIFF, PNG or JPEG")
+        raise ImportFormatError(f"{path}: has {image.dtype} pixels; save it with unsigned integers of 8 or 16 bits")
     return np.asarray(image)

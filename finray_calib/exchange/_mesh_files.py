@@ -67,7 +67,9 @@ def printable_parts(
     parts = [_part(name, part_solid(design, name), partial(part_stl, design, name), design, formats) for name in names]
     sizes = mould_sizes(design, lining_mm)
     as_stl = partial(mould_stl, design, sizes.wall_mm, sizes.floor_mm, sizes.lining_mm)
-    note = f"lay a sheet of {sizes.lining_mm:g} mm on its bottom" if sizes.lining_mm else ""
+    note = (
+        f"before casting, lay a smooth sheet of {sizes.lining_mm:g} mm on the floor inside" if sizes.lining_mm else ""
+    )
     return (*parts, _part("mould", mould_solid(design, sizes), as_stl, design, formats, note))
 
 

@@ -601,11 +601,12 @@ def compare(kind: str, before: Mapping[str, Any], again: Mapping[str, Any]) -> R
     words = f"{values} values, {changed} differ"
     if changed and math.isfinite(largest_rel):
         words += f", by at most {largest_rel:.2g} of the largest value of their field"
+    allowed = f"the tolerance {tolerance_rel:g} of {kind} records"
     if told:
         more = [f"and {len(told) - MOST_DIFFERENCES} more fields"] if len(told) > MOST_DIFFERENCES else []
-        sentence = f"REPLAYED, DIFFERS: {words} (tolerance of a {kind}: {tolerance_rel:g})"
+        sentence = f"REPLAYED, DIFFERS by more than {allowed}: {words}"
         return Replayed(False, sentence, (*told[:MOST_DIFFERENCES], *more))
-    return Replayed(True, f"replayed, agrees: {words} (tolerance of a {kind}: {tolerance_rel:g})", ())
+    return Replayed(True, f"replayed, agrees within {allowed}: {words}", ())
 
 
 def _pairs(place: str, a: Any, b: Any) -> Iterator[tuple[str, Any, Any]]:

@@ -336,9 +336,9 @@ def _bands_picture(paint: FittedPaint) -> Picture:
         bands_figure(paint),
         f"{paint.titled('measured against predicted signal of each filter')}: {said.bands_conclusion(paint)}.",
         paint.titled(
-            "signals of the red, green and blue channel on their prediction (box), each \u00b1 2 sd; hollow ones are "
-            f"not used. What to see: nearly all differences should lie in the grey strip. Here "
-            f"{said.bands_conclusion(paint)}."
+            "signals of the red, green and blue channel (markers, \u00b1 2 sd) on the predicted ones (boxes, \u00b1 2 "
+            "sd); hollow markers were not used in the fit. Nearly all differences should lie within the grey strip. "
+            f"Here {said.bands_conclusion(paint)}."
         ),
     )
 

@@ -32,7 +32,7 @@ GOOD_COVERAGE = 0.80
 """A 95 % band that holds less of the curve than this is called too narrow."""
 
 SMALL_SHIFT_SD = 0.5
-"""A shift by the prior below this is well inside the stated uncertainty."""
+"""A result that moves by fewer of its standard deviations when a prior's width is halved or doubled is robust."""
 
 IMPROBABLE = 0.05
 """A reported family below this probability needs a word on why it is reported."""

@@ -381,8 +381,8 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     ratio = resampled_u_rel / of_covariance if of_covariance > 0.0 else 1.0
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
-            f"over resampled pictures the scale scatters {ratio:.0f} times as much as with independent corners, and "
-            f"at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two of the "
-            "pictures alone determine the lens, or the board was not rigid. Take more pictures"
+            f"when the pictures are resampled (bootstrap), the scale scatters {ratio:.0f} times as much as the errors "
+            f"of corners and lens explain, and at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two "
+            "pictures alone determine the lens, or the board is not rigid. Take more pictures, of a stiff board"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

@@ -359,8 +359,8 @@ class _Recorder:
                 raise
             full_dn, top_dn = self._store.full_scale_dn, brightest_dn(again.counts[self._store.region])
             raise RefusedError(
-                f"camera: stops at {top_dn:.0f} DN of {full_dn} DN: {again.exposure_s:.3g} s give no more, though "
-                f"{first.exposure_s:.3g} s give as much as before; check bit_depth, or raise the gain"
+                f"camera: its counts stop at {top_dn:.0f} DN of {full_dn} DN: {again.exposure_s:.3g} s give no more, "
+                f"while at {first.exposure_s:.3g} s the light is as before; check bit_depth, or raise the gain"
             ) from changed
 
     def _takes(self, shots: list[Shot], phase: str) -> deque[Callable[[], None]]:

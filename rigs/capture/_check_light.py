@@ -546,7 +546,7 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     if lit.max() * FULL_SCALE_LEVEL >= FULL_SCALE_LEVEL:
         raise CaptureError(
             "photodiode: reads its full scale with the laser on, so it is saturated and cannot show whether the "
-            "laser is off; take a smaller resistor, or move it away from the spot"
+            "laser is off; take a smaller resistor, or move the photodiode away from the spot"
         )
     seen = Contrast(float(off.mean()), float(lit.mean()), float(off.std(ddof=1)), sees_pulses=diode.sees_pulses)
     contrast = _with_closed_beam(opened, diode, seen)
@@ -556,7 +556,7 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     if not is_seen or contrast.threshold_rel > contrast.off_rel + MOST_SHARE * rises_rel:
         raise CaptureError(
             "photodiode: reads the same with the laser on and off, so it cannot show whether the laser is off; point "
-            "it at the spot, check its wires and cover it from room light"
+            "the photodiode at the spot, check its wires and cover it from room light"
         )
     if contrast.closed_rel is not None and 2.0 * contrast.closed_rel - contrast.off_rel > contrast.threshold_rel:
         raise CaptureError(
@@ -665,6 +665,6 @@ def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic)
         if reading.start_s > begun_s and reading.on:
             return
     raise CaptureError(
-        f"laser: is on, and {watch.witness} does not see it, so it cannot confirm that the laser is off; check where "
-        "it points, and its cable"
+        f"laser: is on, and {watch.witness} does not see the laser, so nothing could confirm that the laser is off; "
+        f"check the cable of {watch.witness}, and where it points"
     )

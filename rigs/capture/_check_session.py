@@ -188,8 +188,8 @@ class CheckFrames:
                 raise CaptureError(
                     f"camera: the white tile behind filter {band.name} differs by more than "
                     f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the wheel slipped, the "
-                    "lamp changed, or the camera does not expose for as long as it reports. Mend the wheel where its "
-                    "rows fail, let the lamp warm up, switch the camera off and on, then check again"
+                    "lamp changed, or the camera does not expose for as long as it reports. Repair the wheel if its "
+                    "results failed, let the lamp warm up, switch the camera off and on, then check again"
                 )
 
     def brightest_filter(self) -> BandPassFilter:
@@ -242,8 +242,9 @@ class CheckFrames:
         exposures_s = [longest_s / 4, longest_s / 2, longest_s]
         if exposures_s[0] < self._settings.shortest_exposure_s * (1 - 1e-9):
             raise SaturatedError(
-                f"filter {band.name}: the white tile needs {longest_s:g} s, and a quarter of it is below the camera's "
-                f"shortest exposure, {self._settings.shortest_exposure_s:g} s; dim the lamp or close the aperture"
+                f"filter {band.name}: the white tile is exposed for {longest_s:g} s, and a quarter of that is below "
+                f"the camera's shortest exposure, {self._settings.shortest_exposure_s:g} s; dim the lamp or close the "
+                "aperture"
             )
         white = self.white_step(band)
         dark = replace(white, frame_type="dark", light="off")
@@ -334,8 +335,8 @@ class CheckFrames:
             if is_clocked and took_s < LEAST_TAKEN * raw.exposure_s:
                 raise CaptureError(
                     f"camera: reads back an exposure of {raw.exposure_s:g} s, but its frame arrived {took_s:.3g} s "
-                    "after the request: it exposes for less than it reports, or delivers an earlier frame; switch it "
-                    "off and on, then check its driver and trigger mode"
+                    "after the request: it exposes for less than it reports, or delivers an earlier frame; switch the "
+                    "camera off and on, then check its driver and trigger mode"
                 )
             frames.append(raw.counts[self._region].astype(np.int32))
             read_back_s = raw.exposure_s
@@ -387,7 +388,7 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
         raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")
     if plan.photodiode is not None and not rig.is_simulated and plan.photodiode == rig.laser.address:
         raise CaptureError(
-            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, which opening it would reset; "
+            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, whose board opening it would reset; "
             "give the port of the photodiode's own board"
         )
     return planned_filters(plan.filters, rig)

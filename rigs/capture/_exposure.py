@@ -231,7 +231,7 @@ class CheckedCamera:
         # a camera that does not read its exposure back says NaN, which is within nothing
         if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were requested for {step.label}, but it reads back "
+                f"camera: {exposure_s:g} s were requested for {step.label}, but the camera reads back "
                 f"{raw.exposure_s:g} s (within {100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct "
                 "shortest_exposure_s and longest_exposure_s of the rig"
             )
@@ -486,7 +486,7 @@ class TactileCamera:
                 )
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were requested, but it reads back {raw.exposure_s:g} s (within "
+                f"camera: {exposure_s:g} s were requested, but the camera reads back {raw.exposure_s:g} s (within "
                 f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of the plan or the "
                 "limits of the rig"
             )

@@ -318,8 +318,8 @@ class ForceGauge:
         if abs(off_n) > allowed_n:
             raise CaptureError(
                 f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch it "
-                f"({allowed_n:.3g} N are allowed): something lies or presses on it, a wire of its bridge is "
-                "broken, or it is another cell; free it, or calibrate it as it is mounted"
+                f"({allowed_n:.3g} N are allowed): something lies or presses on the cell, a wire of its "
+                "bridge is broken, or this is another cell; free the cell, check its wires, or calibrate it as mounted"
             )
         self._first_zero = self._zero
 
@@ -340,14 +340,14 @@ class ForceGauge:
             raise CaptureError(
                 f"load cell: noise of {self.noise_n:.2g} N in one reading is too much for force_limit_n = "
                 f"{self._settings.force_limit_n:g} N ({allowed_n / COARSE_SD:.2g} N are allowed); shield its wires, "
-                "fasten it, or read it 10 times a second"
+                "fasten the cell, or set it to 10 readings a second"
             )
         moved_n = (self._zero - self._first_zero) * self._slope
         if abs(moved_n) > allowed_n:
             raise CaptureError(
-                f"load cell: is {moved_n:+.3g} N away from its tare at the beginning of the session "
-                f"({allowed_n:.3g} N are allowed): its zero drifts, or the pad is still pressed; let it warm "
-                "up, fasten it, then resume"
+                f"load cell: is {moved_n:+.3g} N off its tare at the beginning of the session ({allowed_n:.3g} N are "
+                "allowed): its zero drifts, or the indenter still presses the pad; let the cell warm up and tighten "
+                "its mount, or move the indenter off the pad, then resume"
             )
 
     def mean(self, readings: int = STEP_READINGS, watch: Callable[[], object] | None = None) -> Force:
@@ -470,7 +470,7 @@ def weigh(
         if abs(moved_n) > ZERO_MOVED_SHARE * settings.force_limit_n:
             raise CaptureError(
                 f"load cell: reads {moved_n:+.3g} N after the mass was taken off, but 0 before; take everything off "
-                f"the cell, fasten it, then check again"
+                "the cell, fasten the cell, then check again"
             )
     empty = [0.5 * (before[0] + after[0]) for before, after in pairwise(zeros)]
     return LaidMass(

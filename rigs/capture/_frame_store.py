@@ -238,7 +238,10 @@ class FrameStore:
         now = self.rates(raw.counts, raw.exposure_s)
         if metered is None:
             if max(now) > self.visible_dn_per_s(raw.exposure_s):
-                raise SignalChangedError(f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off")
+                raise SignalChangedError(
+                    f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off, and at most "
+                    f"{self.visible_dn_per_s(raw.exposure_s):.3g} DN/s are allowed"
+                )
             return
         visible_dn_per_s = self.visible_dn_per_s(min(raw.exposure_s, metered.exposure_s))
         for name, rate, before in zip(("red", "green", "blue"), now, metered.rates, strict=True):

@@ -378,7 +378,7 @@ class PaintRecorder:
                 return
             self._set_aside("two frames differed from their metering, and the frames after them did not")
             raise SignalChangedError(
-                f"{error}; the frame after it agreed with the metering, for the second time: the camera delivers "
+                f"{error}; the next frame agreed with the metering, which now happened twice: the camera delivers "
                 "earlier frames as new ones, or the light flickers; restart the camera, check the light, then resume"
             ) from error
 

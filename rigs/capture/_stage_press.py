@@ -73,7 +73,9 @@ HOMING_WITHIN_S: Final = 60.0
 TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
 PRESS_LESS: Final = "press less deeply, or raise force_limit_n if finger and load cell can bear it"
-NOT_CLEAR: Final = "it touches before clear_mm of the rig file, or an axis is reversed: correct them"
+NOT_CLEAR: Final = (
+    "the indenter touches before clear_mm of the rig file, or an axis is reversed: correct clear_mm or the axis"
+)
 
 
 @dataclass(slots=True)
@@ -332,8 +334,8 @@ class StagePress:
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
                     raise CaptureError(
-                        f"load cell: reports {force.mean_n:.3g} N where the pad is touched, so its sign is "
-                        "reversed; calibrate it as it is mounted (or its zero drifts)"
+                        f"load cell: reports {force.mean_n:.3g} N where the pad is touched: its sign is "
+                        "reversed, or its zero drifts; calibrate the cell as mounted, or let it warm up"
                     )
                 return at_mm, force, been_mm
             self.gauge.follow(force)
@@ -384,7 +386,7 @@ class StagePress:
                 raise CaptureError(
                     f"load cell: reports a force near clear_mm = {stage.clear_mm:g} mm, where nothing should "
                     "touch; its zero drifts, or clear_mm of the rig file is less than "
-                    f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad"
+                    f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad; let the cell warm up, or correct clear_mm"
                 )
             self.press_to(at_mm, watch)
             now = self.gauge.mean()
@@ -455,8 +457,8 @@ class StagePress:
         most_mm = room_n / (margin * stiffness) if stiffness > 0.0 else math.inf
         if stiffness * step_mm > room_n or min(most_mm, step_mm) < 0.5 * LEAST_STEP_MM:
             raise RefusedError(
-                f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm of steps it feels {now.mean_n:.3g} N, and "
-                f"the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which would exceed or nearly "
+                f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm of steps the cell reads {now.mean_n:.3g} N, "
+                f"and the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which would exceed or nearly "
                 f"reach the limit of {limit_n:g} N; shorten step_mm of the rig file, or {PRESS_LESS}"
             )
         return min(step_mm, most_mm)
@@ -508,7 +510,7 @@ class StagePress:
                 raise CaptureError(
                     f"stage: at {place_mm:g} mm along the pad, the touch is {moved_mm:+.3f} mm away from the earlier "
                     f"touch ({allowed_mm:.2f} mm are allowed): the stage lost steps, or the finger moved; drive "
-                    "slower, fasten both, then resume"
+                    "the stage slower, fasten stage and finger, then resume"
                 )
         self.touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
 
@@ -572,7 +574,7 @@ class StagePress:
         if abs(shift.mean_n) > ZERO_MOVED_SHARE * self.limit_n:
             raise CaptureError(
                 f"load cell: its zero moved by {shift.mean_n:+.3g} N during contact {contact} "
-                f"({ZERO_MOVED_SHARE * self.limit_n:.3g} N are allowed); let it warm up, fasten it, then resume"
+                f"({ZERO_MOVED_SHARE * self.limit_n:.3g} N are allowed); let the cell warm up, fasten it, then resume"
             )
 
 

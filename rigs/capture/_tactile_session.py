@@ -509,7 +509,7 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if not low_mm <= at_mm <= high_mm:
             raise CaptureError(
                 f"{where}: position_mm = {press.position_mm:g} is {rig.stage.pad_axis} = {at_mm:g} mm, outside the "
-                f"stage's travel of {low_mm:g} to {high_mm:g} mm"
+                f"stage's travel of {low_mm:g} to {high_mm:g} mm; correct position_mm, or the rig file"
             )
 
 

@@ -254,7 +254,9 @@ def _kill(holder: Holder, layer: LightLayer) -> bool:
                         os.kill(pid, signal.SIGKILL)
                 raise
     except ProcessLookupError:
-        raise CaptureError("laser: its guard or watch ended by itself before it was killed; find out why") from None
+        raise CaptureError(
+            "laser: its guard or watch ended before the check killed it; find out why, then check again"
+        ) from None
     return switched == 0 if are_together else took_s < _AT_ONCE_S
 
 

@@ -188,13 +188,11 @@ def load_cell_settings(named_rig: NamedRig) -> "LoadCellSettings | None":
 
 
 @pytest.fixture(scope="class")
-def pressing(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[OpenTactileRig]":
+def pressing(named_rig: NamedRig) -> "Iterator[OpenTactileRig]":
     """Open the stage, and the load cell that guards it."""
     from rigs.capture import open_tactile_rig
 
     rig = named_rig.finger
-    if rig.stage is not None and rig.stage.homing == "by hand" and request.config.getoption("capture") != "no":
-        pytest.skip("NOT TESTED: bring the stage to its zero, then run with -s to confirm that it is there")
     with open_tactile_rig(rig, named_rig.folder, only="stage and load cell") as opened:
         yield opened
 

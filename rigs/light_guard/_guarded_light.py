@@ -630,12 +630,12 @@ def _driver_of_light(name: str) -> ModuleType:
 def off_lines(has_dead_man: bool, layer: OutsideLayer | None = None) -> tuple[str, str]:
     """Return, in two sentences, what switches a light off when a process fails and when the whole computer does."""
     first = "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s"
-    all_of_them = "off when the computer hangs, its cable is pulled or all processes are killed"
+    all_of_them = "off when the computer hangs, the light's cable is pulled or all processes are killed"
     if has_dead_man:
-        return first, f"{all_of_them}: yes, by the dead-man in its controller, within 0.5 s"
+        return first, f"{all_of_them}: yes, by the dead-man in the light's controller, within 0.5 s"
     if layer is not None:
         return first, f"{all_of_them}: only by the {layer.kind} (tested on {layer.tested_on}: {layer.test})"
-    return first, f"{all_of_them}: NO, it stays on; it has no dead-man and no other layer outside the computer"
+    return first, f"{all_of_them}: NO, the light stays on; it has no dead-man and no other layer outside the computer"
 
 
 def safety_lines(laser: LaserSettings) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 KEEP_ALIVE_S: Final = 0.08
 """Five fit into the 0.4 s of the firmware's dead-man: four may be lost or late."""
 BEAT_S: Final = 0.5
-"""How often the watch hears of a guard whose light is lit."""
+"""Time between two signs of life that a guard sends to the watch while its light is lit."""
 LOOK_EVERY_S: Final = 0.5
 """How often a dark light without a dead-man is asked: a server may carry out an "on" of long ago."""
 LOOK_WITHIN_S: Final = 2.0

@@ -229,7 +229,10 @@ class GrblStage:
         if axis == self._settings.pad_axis:
             low_mm, high_mm = self._settings.pad_travel_mm
         elif axis != self._settings.press_axis:
-            raise RefusedError(f"{self._name}: the rig file names no axis {axis}")
+            raise RefusedError(
+                f"{self._name}: cannot move {axis}; the rig file has press_axis = {self._settings.press_axis} and "
+                f"pad_axis = {self._settings.pad_axis}"
+            )
         if not low_mm <= to_mm <= high_mm:
             raise RefusedError(
                 f"{self._name}: {axis} = {to_mm:.3f} mm lies outside its travel of {low_mm:g} to {high_mm:g} mm in the "

@@ -351,7 +351,10 @@ def _emission(matrix: DonaldsonMatrix) -> SpectralCurve:
     shape = np.where(seen, matrix.radiance_factor_per_nm[:, averaged].mean(axis=1), 0.0)
     total = matrix.emission_at(LASER_NM).values[seen].sum()
     if not (total > 0 and shape.sum() > 0):
-        raise SimulateError(f"{matrix.source}: no emission above the laser at {LASER_NM:g} nm; give a fluorescent one")
+        raise SimulateError(
+            f"{matrix.source}: under {LASER_NM:g} nm nothing is emitted from {LASER_NM + FIRST_STOKES_NM:g} nm on; "
+            "give the matrix of a material that fluoresces there"
+        )
     return SpectralCurve(
         name=f"{matrix.name}, emission", wavelength_nm=rows, values=shape * (total / shape.sum()), source=matrix.source
     )
@@ -531,7 +534,7 @@ def _band(paints: Sequence[PaintStandIn]) -> PaperStatement:
     low, high = PRINTED_BAND
     brightest = {p.material: max(p.filter_bands.items(), key=lambda band: band[1]) for p in paints}
     return PaperStatement(
-        subject="reradiation, read as one 10 nm band",
+        subject="reradiation, if the percentage is that of one 10 nm band",
         paper=_printed_band(),
         measure="radiance factor in the brightest of the eight bands",
         ours=_each(paints, lambda p: f"{_percent(brightest[p.material][1], 1)} at {brightest[p.material][0]} nm"),

@@ -201,8 +201,8 @@ def fit_sensor(
     if base.pictures.shape[-2:] != pictures.shape[-2:]:
         raise SimulateError(
             f"the design renders {base.pictures.shape[4]} x {base.pictures.shape[3]} px, {captures[0].name} has "
-            f"{pictures.shape[3]} x {pictures.shape[2]} px (of a Bayer picture one for each cell): change "
-            "camera.width_px and camera.height_px of the design"
+            f"{pictures.shape[3]} x {pictures.shape[2]} px (a Bayer picture counts one pixel per 2 x 2 cell): set "
+            "camera.width_px and camera.height_px of the design to the latter"
         )
     model, dark = _without_dark_channels(
         _model(scene, moving, picture_blocks(pictures, noise, base.on_pad), base), scene.design.name

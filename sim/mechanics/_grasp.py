@@ -372,9 +372,9 @@ class _Gripper:
             before = left
             place, step = place.moved(self.step(stiffness, left, closes))
         raise NoEquilibriumError(
-            f"the object finds no balance in {len(sizes)} steps: {min(sizes):.2g} N (torque divided by "
-            f"{self._arm_mm:g} mm) remain, and {allowed:.2g} N are allowed; give more friction or closing "
-            "force, or less mass"
+            f"the object reaches no equilibrium in {len(sizes)} steps: the largest residual force is {min(sizes):.2g} "
+            f"N (a torque counts divided by {self._arm_mm:g} mm), and {allowed:.2g} N are allowed; give more friction "
+            "or closing force, or less mass"
         )
 
     def least_resistance_n_per_mm(self, balance: _Balance) -> float:

@@ -409,8 +409,8 @@ class _DrivenIndenter(PenaltyTouch):
             raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")
         if not self.force_n(touched.state.u_mm)[1] > 0.0:
             raise NoEquilibriumError(
-                f"at a push of {_TOUCH_MM:g} mm, where the press to a force begins, the indenter touches no node of "
-                f"the coat, whose elements are {self._step_mm:g} mm wide: press with a finer [mesh] preset, or to a "
+                f"with --force a press begins at a push of {_TOUCH_MM:g} mm, and there the indenter touches no node "
+                f"of the coat, whose elements are {self._step_mm:g} mm wide: take a finer [mesh] preset, or press to a "
                 "depth with --contact barrier"
             )
         return touched

@@ -1,7 +1,6 @@
 """Press an indenter into a finger: increments of the push, from first touch or from a stored press.
 
-What a press found, increment by increment. Contact is the fast penalty on exact distances, or the barrier with contact
-of the ribs; both with friction.
+Contact is the fast penalty on exact distances, or the barrier with contact of the ribs; both with friction.
 """
 
 import math

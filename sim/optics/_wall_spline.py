@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 Floats = NDArray[np.float64]
 
 BATCHES: Final = 16
-"""Independent batches of a bake: 15 degrees of freedom for its noise."""
+"""Independent batches in which the light of the walls is computed; their scatter has 15 degrees of freedom."""
 
 # trial strengths of both penalties, in units of the noise, from no smoothing to straight lines
 _STRENGTHS = 10.0 ** np.arange(-8.0, 4.01, 0.25)

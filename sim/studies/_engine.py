@@ -162,7 +162,7 @@ MEMORY_PER_WORKER_BYTES: Final = 2 * 2**30
 """A worker may take this much; a medium mesh with friction takes 1.2 GB."""
 
 WAIT_FOR_SCHEDULER_S: Final = 600.0
-"""A scheduler that went away is waited for as long as this: a restart takes seconds, a lost machine hours."""
+"""Time to wait for a scheduler that no longer answers: it restarts in seconds; to replace its machine takes hours."""
 
 _SETTINGS: Final[Mapping[str, Any]] = {
     # a solve may hold the interpreter for minutes, in which a worker cannot say that it lives

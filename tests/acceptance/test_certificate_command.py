@@ -123,7 +123,7 @@ def test_a_page_has_the_ending_of_one(tmp_path, capsys):
     path = tmp_path / "red.paint.json"
     write_record(example(), path, provenance("finray fit x", {}, 1))
     assert main(["certificate", str(path), "--out", str(tmp_path / "red.pdf")]) == 2
-    assert "choose an --out that ends in .html" in capsys.readouterr().err
+    assert "must end in .html; choose another --out" in capsys.readouterr().err
 
 
 def test_a_quantity_outside_its_limits_ends_with_1(tmp_path, capsys):

@@ -388,11 +388,11 @@ def moved(blocked_dn: float, passed_dn: float) -> StrayLight:
         ({"light_off": BY_WORD}, 100.0, "UNDECIDED", "more than the 0.039 mW of a class 1 laser"),
         # the dark level has drifted by 1.5 DN since the dark frames; in the other part alone it would be light
         ({"light_off": BY_WORD, "stray_light": moved(1.5, 1.5)}, 4.5, "PASS", "its light was not observed"),
-        ({"light_off": BY_WORD, "stray_light": moved(0.0, 1.5)}, 4.5, "UNDECIDED", "more than dark when it was"),
+        ({"light_off": BY_WORD, "stray_light": moved(0.0, 1.5)}, 4.5, "UNDECIDED", "still saw light with the laser"),
         ({"light_off": BY_WORD, "stray_light": None}, 4.5, "UNDECIDED", "no instrument saw the laser go off"),
         ({"light_off": BY_WORD, "stray_light": GOOD.stray_light.model_copy(update={"passed": BlockedLight(
             filter_name="450", level=level(0.01, 800.0).model_copy(update={"dark_dn": (16.0,) * 5 + (18.0,)}))})},
-         4.5, "UNDECIDED", "more than dark when it was reported off"),
+         4.5, "UNDECIDED", "still saw light with the laser reported off"),
     ],
 )  # fmt: skip
 def test_off_is_what_leaves_no_more_than_class_1_unseen(

@@ -259,7 +259,7 @@ def test_dark_white_tile_is_an_error_that_says_so(rig, plan, monkeypatch):
 def test_lamp_too_bright_for_a_quarter_of_the_exposure(rig: RigFile, plan: CheckPlan) -> None:
     camera = rig.camera.model_copy(update={"shortest_exposure_s": 0.0008})
     facts, _ = record_facts(rig.model_copy(update={"camera": camera}), plan, Path())
-    assert "a quarter of it is below the camera's shortest exposure" in facts.errors["exposures"]
+    assert "a quarter of that is below the camera's shortest exposure" in facts.errors["exposures"]
 
 
 @pytest.mark.parametrize("driver", ["simulated", REPLAY_DRIVER])
@@ -542,7 +542,7 @@ def test_a_guard_that_ends_between_the_stops_leaves_no_process_stopped(monkeypat
                 guard.wait(5.0)
 
         monkeypatch.setattr("rigs.capture.light_off_time.os.kill", ending)
-        with pytest.raises(CaptureError, match="its guard or watch ended by itself"):
+        with pytest.raises(CaptureError, match="its guard or watch ended before the check killed it"):
             _kill(Holder(holder, watch.pid, guard.pid), "dead-man")
         assert [watch.wait(5.0), holder.wait(5.0)] == [-signal.SIGKILL] * 2
 

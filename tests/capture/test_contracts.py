@@ -1,5 +1,7 @@
 """The contracts of rigs.contracts over every implementation that can be opened here."""
 
+import os
+import pty
 import subprocess
 import sys
 import time
@@ -61,6 +63,7 @@ from tests.capture.drivers.test_mjpeg import WIDTH_PX as PICTURE_WIDTH_PX
 from tests.capture.drivers.test_mjpeg import ffmpeg_server
 from tests.capture.drivers.test_stage_and_cell import cell_settings, stage_settings
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
+from tests.capture.test_operator import QUESTION, read_until
 from tests.command_line.running import finray
 
 RIG = simulated_rig("red", width_px=64, height_px=64)
@@ -145,7 +148,9 @@ def test_guard_of_the_contract_stops_at_a_real_force(tmp_path: Path) -> None:
             stage.home(10.0, guard)
             contract = StageContract()
             contract.go(stage, rig.stage, 0, guard)  # clear of the pad, in steps
-            with pytest.raises(ForceLimitError, match=r"beyond the limit of 0\.4 N; it touches before clear_mm"):
+            with pytest.raises(
+                ForceLimitError, match=r"beyond the limit of 0\.4 N; the indenter touches before clear_mm"
+            ):
                 contract.go(stage, rig.stage, 20, guard)
             time.sleep(0.3)
             stood_mm = bench.controller.at_mm["Z"]
@@ -170,6 +175,30 @@ def test_suite_runs_on_a_finger_rig(tmp_path: Path) -> None:
     assert "IS HOMED and MOVES some steps from clear_mm" in done.stdout
     # five of the stage and four of the cell beside those of the camera
     assert int(done.stdout.rpartition(" passed")[0].split()[-1]) >= 9 + 5
+
+
+def test_stage_without_switches_moves_only_after_yes(tmp_path: Path) -> None:
+    write_tactile_rig(FINGER, tmp_path / "rig.toml")
+    assert finray(f"rig calibrate-cell {tmp_path}/rig.toml --masses-g 20,50,100,200 --gravity 9.81").status == 0
+    text = (tmp_path / "rig.toml").read_text()
+    assert 'homing = "switches"' in text
+    (tmp_path / "rig.toml").write_text(text.replace('homing = "switches"', 'homing = "by hand"'))
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--pyargs", "rigs.contracts", "-s", "-rs"]
+    command += ["--rig", "rig.toml", "-k", "TestStage and arrives"]
+    unasked = subprocess.run(
+        command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    assert "NOT TESTED: nobody confirmed that the stage is at its zero" in unasked.stdout
+    assert " passed" not in unasked.stdout
+    for answer, ends in ((b"no\n", b"1 skipped"), (b"yes\n", b"1 passed")):
+        ours, theirs = pty.openpty()
+        with subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs):
+            os.close(theirs)
+            assert b"Have you brought the stage to the zero" in read_until(ours, QUESTION)
+            os.write(ours, answer)
+            assert ends in read_until(ours, ends)
+            read_until(ours, b"\0")  # until the program has ended
+        os.close(ours)
 
 
 class Willing:

@@ -53,7 +53,7 @@ def test_cell_of_the_other_sign_is_refused_at_the_touch():
         update={"slope_n_per_count": -right.slope_n_per_count, "counts": tuple(-c for c in right.counts)}
     )
     why, strongest_n = refused_press(finger(), wrong)
-    assert "so its sign is reversed; calibrate it as it is mounted" in why
+    assert "its sign is reversed, or its zero drifts; calibrate the cell as mounted" in why
     assert strongest_n < 0.5
 
 
@@ -115,7 +115,7 @@ def test_force_limit_counts_from_the_first_zero_too():
             gauge.follow(force._replace(noise_n=1.0))
         assert abs(gauge.reading_n()) < 0.01
         assert gauge.strongest_n() == pytest.approx(0.98, abs=0.01)
-        with pytest.raises(CaptureError, match="its zero drifts, or the pad is still pressed"):
+        with pytest.raises(CaptureError, match="its zero drifts, or the indenter still presses the pad"):
             gauge.tare()
 
 
@@ -124,7 +124,7 @@ def test_session_begins_at_the_empty_cell_of_its_calibration():
     with open_tactile_rig(rig, Path()) as opened:
         opened.lay(0.2)  # 2 N of the limit of 5 N
         gauge = ForceGauge(opened.load_cell, rig.load_cell, exact_calibration(rig))
-        with pytest.raises(CaptureError, match=r"a wire of its bridge is broken, or it is another cell"):
+        with pytest.raises(CaptureError, match=r"a wire of its bridge is broken, or this is another cell"):
             gauge.begin(opened.clock.monotonic_s)
 
 

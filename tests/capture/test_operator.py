@@ -26,7 +26,7 @@ time.sleep(0.5)
 TerminalOperator().do("Close the box.")
 print("went on", flush=True)
 """
-QUESTION = b"anything else ends the capture here. "
+QUESTION = b"anything else counts as no. "
 
 
 def read_until(terminal: int, wanted: bytes) -> bytes:

@@ -66,8 +66,8 @@ def test_a_test_holds_for_some_time(age_days: int, said: str | None) -> None:
 def test_what_is_said_before_the_light_goes_on() -> None:
     layer = OutsideLayer(kind="interlock", tested_on="2026-11-20", test="lid opened: dark at once")
     assert all(line[0].endswith("by the other processes, within 1 s") for line in (off_lines(False), off_lines(True)))
-    assert "NO, it stays on" in off_lines(False)[1]
-    assert "yes, by the dead-man in its controller" in off_lines(True)[1]
+    assert "NO, the light stays on" in off_lines(False)[1]
+    assert "yes, by the dead-man in the light's controller" in off_lines(True)[1]
     assert "only by the interlock (tested on 2026-11-20: lid opened: dark at once)" in off_lines(False, layer)[1]
 
 
@@ -116,7 +116,7 @@ def test_an_open_laser_is_not_lit_but_says_why(tmp_path: Path, monkeypatch: pyte
         ):
             pytest.fail("lit")
         assert not (tmp_path / "on").exists()
-        assert "NO, it stays on" in light.notes[0]
+        assert "NO, the light stays on" in light.notes[0]
     with open_laser(laser("3R", tested_on=datetime.date.today().isoformat(), address=str(tmp_path))) as light:
         assert "only by the interlock" in light.notes[0]
         with light.lit():

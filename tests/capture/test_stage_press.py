@@ -640,7 +640,7 @@ def journal_of(folder: Path, event: str) -> str:
 def test_stage_that_stops_beyond_clear_mm_does_not_flee_into_the_pad(bench, tmp_path, monkeypatch):
     """clear_mm lies in the pad: the flight was an absolute move to it, and pressed 18 N at a limit of 4 N."""
     rig = real_rig(tmp_path, bench, clear_mm=-6.0, press_travel_mm=(-20.0, 0.0))
-    with pytest.raises(ForceLimitError, match="it touches before clear_mm"):
+    with pytest.raises(ForceLimitError, match="the indenter touches before clear_mm"):
         run(tmp_path, rig, monkeypatch)
     # a tenth of the limit, one step of 0.1 mm into 4 N/mm, and another where a busy computer reads late
     assert bench.strongest_n <= 0.4 + 2 * 0.4
@@ -815,5 +815,5 @@ def test_what_is_met_beside_the_pad_stops_the_way_along_it(force_n):
         if force_n < 0.2:
             presser.along(rig.stage.base_mm + rig.stage.from_base * 9.0)
         else:
-            with pytest.raises(ForceLimitError, match="it touches before clear_mm"):
+            with pytest.raises(ForceLimitError, match="the indenter touches before clear_mm"):
                 presser.along(rig.stage.base_mm + rig.stage.from_base * 9.0)

@@ -450,7 +450,7 @@ CASES = (
     Case(
         "one coat for two tins",
         "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
-        r"red/paint\.json and \S+green/paint\.json: are the same calibration; give each coat once",
+        r"red/paint\.json and \S+green/paint\.json: are the same calibration; give one calibration for each coat",
     ),
     Case(
         "day in words",
@@ -532,7 +532,7 @@ CASES = (
     Case(
         "history of no folder",
         "history {tmp}/sessions",
-        r"sessions: no such folder; give a folder whose folders were written by 'finray capture'",
+        r"sessions: no such folder; give the folder that holds the session folders of 'finray capture'",
     ),
     Case(
         "folder that is missing beside one that is not",
@@ -873,7 +873,7 @@ CASES = (
     Case(
         "report on encoded values",
         "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
-        r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* on both sides: render it in",
+        r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* on both sides: render the press",
     ),
     Case(
         "one capture twice",
@@ -883,7 +883,7 @@ CASES = (
     Case(
         "one touch twice",
         "decide {lab}/sweep.json {lab}/sweep.json",
-        r"two sweeps belong to the same touch \(position_mm = 35 mm\): it would count twice\. Give each sweep once",
+        r"two sweeps belong to the same touch \(position_mm = 35 mm\): the touch would count twice",
     ),
     Case(
         "weights that do not fit",
@@ -985,7 +985,7 @@ CASES = (
     Case(
         "empty study of a gauge",
         "check gauge-rr {tmp}/study.csv",
-        r"the header names nothing; it must name sample, session, and paint or value",
+        r"the columns of the header are missing; needed are sample, session, and paint or value",
         file("study.csv", ""),
     ),
     Case(

@@ -152,7 +152,7 @@ def test_real_laser_needs_its_label_and_is_announced(lab: Path, tmp_path: Path) 
     assert "switched on only when the rig file states its laser_class, power_mw; read them from its label" in said
     said = mistake(f"{capture} {named}")
     assert "LASER 450 nm, 4.5 mW, class 3R: it will be switched on. Wear goggles for 450 nm, close the box" in said
-    off = "all processes are killed: yes, by the dead-man in its controller, within 0.5 s"
+    off = "all processes are killed: yes, by the dead-man in the light's controller, within 0.5 s"
     assert (
         said.index("LASER 450 nm") < said.index(off) < said.index("cannot be opened")
     )  # told before anything is tried
@@ -170,4 +170,4 @@ def test_hazardous_laser_without_a_layer_outside_the_computer_is_refused(lab: Pa
     weak = panel.model_copy(update={"laser_class": "2"})
     write_rig(rig.model_copy(update={"laser": weak}), tmp_path / "weak.toml")
     said = mistake(f"capture {lab}/plan.toml --out {tmp_path}/out --rig {tmp_path}/weak.toml")
-    assert said.index("all processes are killed: NO, it stays on") < said.index("nothing listens")
+    assert said.index("all processes are killed: NO, the light stays on") < said.index("nothing listens")

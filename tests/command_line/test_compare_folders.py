@@ -156,7 +156,7 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
     [
         ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
         ("{0}/simulated", "the CAPTURE to compare it with is missing; add a record"),
-        ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records or"),
+        ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records, or"),
         (
             "{0}/none.json {0}/none.json {0}/none.json",
             "none.json: is a third record, but only two are compared; give one",

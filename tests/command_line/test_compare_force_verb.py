@@ -92,7 +92,7 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("compare {lab}/p.mechanics.json {lab}/c.json --force {lab}/bench.csv", "no CAPTURE and no --pairs"),
+        ("compare {lab}/p.mechanics.json {lab}/c.json --force {lab}/bench.csv", "without CAPTURE and --pairs"),
         ("compare --force {lab}/bench.csv", "give NAME.mechanics.json"),
         ("compare {lab}/p.mechanics.json --force {lab}/bench.csv --register", "belong to images"),
         (

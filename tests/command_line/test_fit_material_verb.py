@@ -51,7 +51,10 @@ def test_two_blocks_give_what_a_design_needs(bench, tmp_path):
             "lubricated.csv --on 20x20:lubricated",
             "is neither a file nor a block; give a design (TOML)",
         ),
-        ("lubricated.csv --on 20x20x10:slippery", "plates are lubricated, bonded, confined, not slippery"),
+        (
+            "lubricated.csv --on 20x20x10:slippery",
+            "plates cannot be 'slippery'; give one of lubricated, bonded, confined",
+        ),
         ("lubricated.csv --on 20x2.0.1x10:bonded", "edges are numbers in mm"),
         (
             "lubricated.csv --on 20x20x4:bonded",

@@ -121,18 +121,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave it "
-            "out, or leave out --force",
+            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
+            "--path, or --force",
         ),
     ],
 )
@@ -371,7 +371,10 @@ def test_a_force_on_an_indenter_that_touches_no_node_is_refused(tmp_path):
     path = small_ball(tmp_path, 2.0, 0.1)
     outcome = finray(f"simulate press {path} --force 0.05 --out {tmp_path}/b.press.json")
     assert outcome.status == 2
-    assert "where the press to a force begins, the indenter touches no node of the coat" in outcome.err
+    assert (
+        "with --force a press begins at a push of 0.1 mm, and there the indenter touches no node of the coat"
+        in outcome.err
+    )
     assert (tmp_path / "b.mechanics.png").exists()
 
 

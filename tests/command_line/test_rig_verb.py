@@ -290,7 +290,10 @@ def test_show_of_real_drivers_on_emulated_devices(tmp_path: Path) -> None:
         assert not board.times("host", b"L1")
         assert wheel.control.get("pos") == 1
     assert "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s" in said
-    assert "its cable is pulled or all processes are killed: yes, by the dead-man in its controller" in said
+    assert (
+        "the light's cable is pulled or all processes are killed: yes, by the dead-man in the light's controller"
+        in said
+    )
     assert "cannot be lit" not in said
     assert "light with dead-man, firmware 1.2" in said
     assert "Aravis Fake, serial FINRAY01" in said
@@ -311,7 +314,7 @@ def test_show_says_that_a_light_without_dead_man_stays_on_and_cannot_be_lit(tmp_
     laser = next(part for part in outcome.out.split("\n\n") if part.startswith("laser: indi"))
     assert "reports off" in laser
     assert "off when a process of finray is killed or stopped: yes, by the other processes, within 1 s" in laser
-    assert "warning: off when the computer hangs, its cable is pulled or all processes are killed: NO" in laser
+    assert "warning: off when the computer hangs, the light's cable is pulled or all processes are killed: NO" in laser
     assert "warning: cannot be lit: a class 3R laser is switched on only if hardware outside the computer" in laser
 
 

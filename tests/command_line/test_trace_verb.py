@@ -97,7 +97,9 @@ def test_records_before_seals_are_read_and_say_so(tmp_path):
 def test_replay_of_a_decision_agrees(decided):
     said = succeed(f"trace {decided}/decision.json --replay")
     agrees = re.search(
-        r"replayed, agrees: \d+ values, \d+ differ(?:, by at most (\S+) of the largest value of their field)?", said
+        r"replayed, agrees within the tolerance [^:]+: \d+ values, \d+ differ"
+        r"(?:, by at most (\S+) of the largest value of their field)?",
+        said,
     )
     assert agrees
     # sums of another process may come in another order: rounding, far below the declared tolerance

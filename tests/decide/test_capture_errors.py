@@ -190,7 +190,9 @@ def test_what_would_mislead_is_refused():
     good = report("a", 30.0, objective_error(np.zeros(3)))
     with pytest.raises(DecideError, match=r"two reports are on the capture 'a': .* Give one report for each capture"):
         capture_errors(sweep_record(), [good, report("b", 30.0, objective_error(np.zeros(3))), good])
-    with pytest.raises(DecideError, match=r"b is relative: .* Compare again without --relative, or leave it out"):
+    with pytest.raises(
+        DecideError, match=r"b is relative: .* Compare again without --relative, or leave out the report"
+    ):
         capture_errors(sweep_record(), [good.model_copy(update={"captured": "b", "relative": True})])
     with pytest.raises(DecideError, match=r"b carries no brightness error, because its values are 'encoded values"):
         capture_errors(sweep_record(), [good, report("b", 30.0, None)])

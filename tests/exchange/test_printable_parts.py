@@ -184,7 +184,7 @@ def test_triangles_of_a_mould_hold_the_same_volume(preset):
     volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
     # chords of 0.5 mm lie 0.8 um within a radius of 40 mm, over 2450 mm^2: 2 mm^3 of 16 000
     assert volume == pytest.approx(mould_volume_mm3(preset), rel=2e-4)
-    assert ("lay a sheet of 0.1 mm" in mould.note) == (not preset.startswith("ellipsoidal"))
+    assert ("lay a smooth sheet of 0.1 mm" in mould.note) == (not preset.startswith("ellipsoidal"))
 
 
 @pytest.mark.rigs
@@ -264,7 +264,7 @@ def test_the_verb_writes_all_parts_once(tmp_path):
         f"{p}.{s}" for p in parts for s in ("step", "stl")
     ]
     assert "skeleton.stl and skeleton.step: 44.0 x 24.5 x 84.8 mm (x, y, z)" in told
-    assert "lay a sheet of 0.1 mm on its bottom" in told
+    assert "lay a smooth sheet of 0.1 mm on the floor inside" in told
     assert (tmp_path / "print" / "skeleton.stl").read_bytes() == part_stl(preset_design("flat-70x35"))
     assert (tmp_path / "print" / "skeleton.step").read_bytes() == step_of("flat-70x35", "skeleton")
     again = finray(f"design export {tmp_path}/finger.toml --out {tmp_path}/print")
@@ -276,7 +276,7 @@ def test_the_verb_writes_all_parts_once(tmp_path):
         "mould.step",
         "skeleton_and_base.step",
     ]
-    assert "lay a sheet" not in told
+    assert "lay a smooth sheet" not in told
 
 
 FLAT = 'preset = "flat-70x35"\n'

@@ -87,7 +87,7 @@ def test_the_printed_shifts_lie_on_the_plateau_but_not_at_its_maximum(paper):
 @pytest.mark.shared_data
 def test_two_to_five_per_cent_is_a_band_and_not_the_light(paper):
     statements = by_subject(paper)
-    assert statements["reradiation, read as one 10 nm band"].verdict == "holds in part"
+    assert statements["reradiation, if the percentage is that of one 10 nm band"].verdict == "holds in part"
     share = statements["reradiation, read as share of the light"]
     assert share.verdict == "does not hold"
     assert share.ours[RED] == "44 % of the energy, 60 % of the photons"
@@ -172,7 +172,7 @@ def test_what_cannot_stand_for_a_paint_is_refused():
     with pytest.raises(SimulateError, match="covers excitation 300 to 390 nm"):
         measure_stand_in(short, "red", rng)
     dark = paint.model_copy(update={"radiance_factor_per_nm": 0 * paint.radiance_factor_per_nm})
-    with pytest.raises(SimulateError, match="no emission above the laser at 450 nm"):
+    with pytest.raises(SimulateError, match="under 450 nm nothing is emitted from 470 nm on"):
         measure_stand_in(dark, "red", rng)
     line = np.where(paint.emission_nm[:, None] == 560.0, paint.radiance_factor_per_nm, 0.0)
     with pytest.raises(SimulateError, match="so the absorption cannot be read from the matrix"):

@@ -348,7 +348,10 @@ class TestLightInAFile:
         with guarded_light("laser", "indi", str(folder)) as light:
             assert isinstance(light, GuardedLight)
             assert not light.has_dead_man
-            assert "computer hangs, its cable is pulled or all processes are killed: NO, it stays on" in light.notes[0]
+            assert (
+                "computer hangs, the light's cable is pulled or all processes are killed: NO, the light stays on"
+                in light.notes[0]
+            )
             assert light.identity().model == "file"
             with light.lit():
                 assert light.state()

@@ -285,11 +285,11 @@ def test_one_that_goes_blind_proves_nothing(monkeypatch) -> None:
         block = after_exception(real_time, 2, seen)
         assert (block.witness, block.still_on, len(block.latest_s)) == ("a photodiode", 0, 2)
         assert all(a <= b < 0.2 for a, b in zip(block.earliest_s, block.latest_s, strict=True))
-        with pytest.raises(CaptureError, match="a photodiode does not see it"):
+        with pytest.raises(CaptureError, match="a photodiode does not see the laser"):
             after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: 3), SEEN))
         # unplugged in the very mishap: it read "off" at once, and does not see the laser on afterwards
         looks = iter([700, *([3] * 10_000)])
-        with pytest.raises(CaptureError, match="does not see it"):
+        with pytest.raises(CaptureError, match="does not see the laser"):
             after_exception(real_time, 1, PhotodiodeWatch(Level(lambda: next(looks)), SEEN))
         # stuck bright: a laser that is off is said to be on
         monkeypatch.setattr("rigs.capture.light_off_time.WATCHED_S", 0.3)
@@ -360,7 +360,10 @@ def test_it_sees_the_guard_and_the_dead_man_of_the_firmware(tmp_path: Path) -> N
             # 0.40 s by the firmware's timer, resolved to a reading: no question kept the dead-man from acting
             assert 0.3 < min(dead_man.latest_s) <= max(dead_man.latest_s) < 0.7
             board.is_unplugged = True
-            with open_photodiode(str(board.port.path)) as diode, pytest.raises(CaptureError, match="does not see it"):
+            with (
+                open_photodiode(str(board.port.path)) as diode,
+                pytest.raises(CaptureError, match="does not see the laser"),
+            ):
                 after_kill(laser, "guard", PhotodiodeWatch(diode, SEEN), 1)
             assert not laser_board.state()
 
