@@ -102,8 +102,8 @@ def table(rooms: Mapping[str, set[str]]) -> str:
 def table_page(rooms: Mapping[str, set[str]]) -> str:
     """Return the page with the table of all rooms."""
     head = (
-        "Made by `make drawing` from the code; lists every import, also those that the drawing leaves out. A test "
-        "fails when it is out of date."
+        "`make drawing` makes this page from the code. It lists every import, including those that the drawing of the "
+        "architecture leaves out. A test fails when the page is out of date."
     )
     drawn = "[How the code is built](../explanation/architecture.md#the-drawing) has the drawing."
     return "\n\n".join(["# Packages of the code and what they import", f"{head} {drawn}", table(rooms)]) + "\n"

@@ -502,7 +502,8 @@ def _nine_dtact(name: str) -> PlainSensor:
             "9DTact (Lin et al., RA-L 2023, arXiv 2308.14277) and linchangyi1/9DTact: a white-lit translucent layer "
             "before black gel; calibrated picture of 23.5 x 17.6 mm; mould sheets of 2.5 and 2.8 mm; ball of 4.0 mm "
             "radius, pressed 1.92 mm deep in its picture of sensor 1. The scattering length is chosen so that the "
-            "darkening follows that picture within 16 %; the ring of lights, camera and walls are assumed"
+            "darkening follows that picture within 10 % under the ball and 22 % at its rim; the ring of lights, camera "
+            "and walls are assumed"
         ),
         origin={
             **dict.fromkeys(("pad.length_mm", "pad.width_mm", "coating.translucent.thickness_mm"), "paper"),

@@ -1,4 +1,4 @@
-r"""Compare a simulated press with its capture: skill over declared regions, with floor and interval.
+r"""Compare a simulated press with its capture: skill over declared regions, with its noise floor and an interval.
 
 Of render S, capture D and no-contact image B, all in linear light,
 

@@ -1,4 +1,4 @@
-"""The surfaces of a finger: for light, for printing, and tests that they are closed and do not intersect.
+"""The surfaces of a finger, for light and for printing, and tests that they are closed and do not intersect.
 
 A :class:`FingerShape` holds triangles with texture coordinates of the undeformed finger: six faces of the gel, whose
 normals point outward and which close one volume, the mirror, and dark bodies. It comes from a design (`rest_shape`,
