@@ -143,7 +143,7 @@ def test_what_is_clean_stays_where_the_barrier_finds_nothing(monkeypatch):
     assert (pressed.kind, pressed.crossing) == ("penalty", "")
     assert pressed.depth_mm == pytest.approx([0.3])
     assert pressed.unreached.startswith(
-        "no equilibrium further on; by the penalty, from a push of 0.6 mm on the finger"
+        "no equilibrium further on; with penalty contact, from a push of 0.6 mm on the finger"
     )
 
 

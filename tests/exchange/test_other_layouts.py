@@ -348,7 +348,10 @@ def labelled_set(folder, mirrored):
 
 def test_the_majority_of_the_presses_decides_whether_labels_are_mirrored(tmp_path):
     recipe = recipe_of("p{press}.png", "rest.png")
-    with pytest.raises(ImportFormatError, match=r"4 of 5 presses .* with left and right exchanged, 1 where they are"):
+    with pytest.raises(
+        ImportFormatError,
+        match=r"4 of 5 presses .* with left and right exchanged; 1 change more where their circles are now",
+    ):
         read_by_recipe(labelled_set(tmp_path / "four", {1, 2, 3, 4}), recipe)
     # the median of three presses, two of them with wrong labels of their own, does not refuse a set that may be right
     found = read_by_recipe(labelled_set(tmp_path / "two", {1, 2}), recipe).captures
@@ -365,7 +368,10 @@ def test_presses_that_show_nothing_do_not_say_that_labels_are_right(tmp_path):
     rng = np.random.default_rng(0)
     for path in sorted(folder.glob("p*.png"))[:2]:
         put(path, np.clip(np.rint(UNTOUCHED + rng.normal(0.0, 1.0, UNTOUCHED.shape)), 0, 255).astype(np.uint8))
-    with pytest.raises(ImportFormatError, match=r"3 of 3 presses .* with left and right exchanged, 0 where they are"):
+    with pytest.raises(
+        ImportFormatError,
+        match=r"3 of 3 presses .* with left and right exchanged; 0 change more where their circles are now",
+    ):
         read_by_recipe(folder, recipe_of("p{press}.png", "rest.png"))
 
 
