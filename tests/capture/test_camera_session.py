@@ -101,9 +101,11 @@ def test_a_sensor_that_stops_below_full_scale_is_told_from_light_that_changed(
     """It was refused for a wheel that slipped; a lamp that dims by half is refused as before."""
     rig = simulated_rig("red", width_px=320, height_px=256)
     monkeypatch.setattr("rigs._open_rig.FULL_WELL_MARGIN", share)
-    with pytest.raises(CaptureError, match=r"stops at \d+ DN of 1023 DN: .*check bit_depth, or raise the gain") as told:
+    with pytest.raises(
+        CaptureError, match=r"counts stop at \d+ DN of 1023 DN: .*check bit_depth, or raise the gain"
+    ) as told:
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path / "s", "pytest"))
-    stops_dn = int(str(told.value).partition("stops at ")[2].partition(" ")[0])
+    stops_dn = int(str(told.value).partition("counts stop at ")[2].partition(" ")[0])
     assert stops_dn == pytest.approx(share * 1024 + rig.camera.black_level_dn, rel=0.1)
 
 

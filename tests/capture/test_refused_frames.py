@@ -170,7 +170,7 @@ def test_exposure_that_is_not_read_back_is_refused(rig: RigFile) -> None:
     def silent(number: int, frame: RawFrame) -> RawFrame:
         return replace(frame, exposure_s=float("nan"))
 
-    with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"it reads back nan s"):
+    with open_rig(rig, Path()) as opened, pytest.raises(RefusedError, match=r"the camera reads back nan s"):
         over(rig, opened, silent).camera.expose(DARK, 0.01)
 
 

@@ -134,7 +134,7 @@ def test_optics_writes_record_capture_and_images(design, paints, tmp_path):
         f"simulate render {design} {files} --images --engine scalar --samples 2 --seed 3 --out {tmp_path}/a.press.json"
     )
     told = succeed(run)
-    assert "a.capture.json: raw counts of 10 bit" in told
+    assert "a.capture.json: 10-bit raw counts" in told
     assert "camera response to the LED: uncertain by 30 %" in told
     press = read_record(tmp_path / "a.press.json", SimulatedPress)
     capture = read_record(tmp_path / "a.capture.json", TactileCapture)
