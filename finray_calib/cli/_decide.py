@@ -23,8 +23,8 @@ simulate sweep --positions' writes them; one sweep alone decides for its one pla
 expected error of the sensed normal if the sweeps were made with --objectives all, else on the brightness. The answer
 gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle is
 better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near
-their angles and show how sure they are elsewhere; without any, the angle stays undecided. The answer also names the
-capture that would help most."""
+the angles of the captures, and show how far the curves can be trusted at other angles. Without a report the angle stays
+undecided. The answer also names the capture that would help most."""
 
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -79,9 +79,9 @@ PAINTS_DESCRIPTION = """\
 Rank every pair of paints, one on each wall, by the expected error of the normal that the finger would sense, before
 anything is moulded. The error is that of a map from colour to normal at places of the pad that it has not seen,
 with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
-of the design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share
-paths, noise and draws, and the last column says which differences to the best pair are real, all pairs together at 95
-%.
+of the design. The uncertainty of the emission comes from the posterior draws of each calibration. All pairs share
+paths, noise and draws. The last column says which pairs differ from the best one, at 95 % confidence for all pairs
+together.
 
 Light is traced once for all pairs; another pair costs a second. The intervals leave out the camera's response where it
 is assumed, the reflectance of the paints, and how far the simulation is from a real finger, which all pairs share."""
@@ -161,7 +161,8 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--lining-mm",
         type=float,
         metavar="MM",
-        help="sheet laid on the mould's bottom for a smooth pad (default: 0.1, the paper's Mylar; 0 if ellipsoidal)",
+        help="thickness of the sheet on the mould's floor, for a smooth pad (default: 0.1, the paper's Mylar; 0 if the "
+        "pad is ellipsoidal)",
     )
     export.set_defaults(run=run_export)
 
@@ -227,7 +228,8 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
 
     if arguments.number is not None or arguments.keep:
         raise FitError(
-            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), which ranks single filters"
+            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), for which single filters "
+            "are ranked"
         )
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
@@ -485,9 +487,9 @@ def _paint_table(choice: "PaintChoice") -> list[str]:
 LIGHTS_HELP = "powers of the lights for an even coat; a map over the angle and the place of a light"
 LIGHTS_DESCRIPTION = """\
 Find the powers of the lights by which the coat of a finger or classic sensor is lit most evenly, without and with
-contact. The light of all sources adds up, so each is traced only once. The most even powers are the solution of a
-convex problem, so that no other allowed powers are more even. The answer states how certain they are, how bright the
-coat is then, and, of a finger, how the expected error of the sensed normal changes.
+contact. The light of all sources adds up, so each is traced only once. The powers found are the solution of a convex
+problem, so that no other allowed powers light the coat more evenly. The answer states the uncertainty of the powers,
+how bright the coat is then, and, for a finger, how the expected error of the sensed normal changes.
 
 Each power stays within --range times its present value, and all lights together emit at most --total times
 as much light as now.
@@ -496,8 +498,8 @@ as much light as now.
 
   --map light.angle_deg=0:75:15 --map "light.position_mm[y]=-14:-6:2"
 
-It takes some ten seconds of processor time for each light of a finger, three for each finger of a map, minutes for a
-classic sensor. Writes a record, its page, and the design with the new powers."""
+It takes some ten seconds of processor time for each light of a finger, three for each point of a map, and minutes for
+a classic sensor. Writes a record, its page, and the design with the new powers."""
 LIGHTS_EPILOG = """\
 examples:
   finray design lights digit
@@ -522,7 +524,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=path_count, metavar="N",
-        help="paths of a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
+        help="light paths in a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
     )  # fmt: skip
     add_paint(lights)
     add_paints_as_given(lights)

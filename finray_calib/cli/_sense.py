@@ -268,8 +268,8 @@ def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, 
         )
     if not (isfinite(behind_mm) and abs(behind_mm) <= 100.0 and 0.0 <= behind_u_mm <= 100.0):
         raise CompareError(
-            f"--coat-behind-mm {behind_mm:g}, --coat-behind-u-mm {behind_u_mm:g}: must be -100 to 100 mm, and 0 to "
-            "100 mm"
+            f"--coat-behind-mm {behind_mm:g}, --coat-behind-u-mm {behind_u_mm:g}: the first must be -100 to 100 mm, "
+            "the second 0 to 100 mm"
         )
     return u_mm / square_mm, behind_mm, behind_u_mm
 

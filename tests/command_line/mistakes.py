@@ -699,7 +699,7 @@ CASES = (
     Case(
         "contact of CalculiX",
         MECHANICS + " --contact barrier --engine calculix",
-        r"--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix",
+        r"--contact: CalculiX has its own contact method; leave out --contact or --engine calculix",
         design(""),
     ),
     Case(
