@@ -170,8 +170,8 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     lines += ["", _cut(f"headline: {name} {headline} over {report.headline_region}", WIDTH_COLUMNS)]
     if interval_name(report) != "95 %":
         lines.append(
-            "in brackets: spread over pixels of this press, not a 95 % interval; compare folders of three "
-            "presses or more for one"
+            "in brackets: spread over pixels of this press, not a 95 % interval; for an interval, compare folders "
+            "of three presses or more"
         )
     for metric in report.packaged_metrics:
         shown = "; ".join(f"{row.candidate} {metric_value(row, metric)}" for row in metric.rows)

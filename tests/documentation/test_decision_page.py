@@ -126,7 +126,7 @@ def test_what_to_do_next_does_not_contradict_the_verdict():
     nothing = {"next_render": None, "next_capture": None}
     several = example_decision("needs captures").model_copy(update={**nothing, "contacts": (contact, contact)})
     (told,) = words.next_sentences(several)
-    assert told.startswith("Next capture: none alone is expected to change the angle. Several, ")
+    assert told.startswith("Next capture: no single one is expected to change the angle. Several ")
     normal = several.model_copy(update={"aim": "normal"})
     assert "not on the error of the normal" in " ".join(words.next_sentences(normal))
     assert words.next_sentences(DECISION.model_copy(update=nothing)) == (
