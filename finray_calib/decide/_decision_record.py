@@ -397,7 +397,7 @@ def _note_on_error(captures: CaptureErrors) -> str:
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen. "
-        "It is assumed that such captures reveal, with a probability of 1/2, almost nothing of it and "
+        "Such captures are assumed to show, with a probability of 1/2, almost none of the simulation's error and "
         "otherwise any share of it, so they never decide alone"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"
