@@ -43,7 +43,7 @@ _SESSION_NAME: Final = "session.json"
 """Name of the record of a captured session in the origin of its band signals (of imported images there is none)."""
 DEPARTS_P: Final = 0.001
 TWO_SESSIONS: Final = (
-    "two sessions hardly tell how much sessions scatter, so the interval of the level is several times as wide as that "
+    "two sessions hardly show how much sessions scatter, so the interval of the level is several times as wide as that "
     "of one session alone; a third session narrows it"
 )
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)

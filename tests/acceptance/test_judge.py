@@ -323,12 +323,12 @@ def test_results_in_words(rig):
     found = results(judge(GOOD, PLAN, rig))
     assert value_text(found["laser off by the guard"]) == "0.200 +- 0.058 s"
     assert value_text(found["wheel arrives"]) == "0 moves"
-    assert "as position and, where bright enough, frame after each one show" in found["wheel arrives"].evidence
+    assert "by the reported position and, where bright enough, the frame after each" in found["wheel arrives"].evidence
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
         "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, reported "
         "by the laser's controller only, over a new connection; its light was not observed; before, the camera saw "
-        "it dark behind filter 450 whenever it was reported off; light below 0.14 % of the laser's, 0.0062 mW at "
+        "no light behind filter 450 while the laser was reported off; light below 0.14 % of the laser's, 0.0062 mW at "
         "most, would not be seen"
     )
     line = result_line(found["filters in their slots"])
