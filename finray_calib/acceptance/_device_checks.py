@@ -65,7 +65,7 @@ REMEDIES: Final = {
     "lamp settles": "check the lamp's supply, or wait for longer before every session",
     "dark level stays": "let the camera warm up before every session",
     "stray light": "close gaps beside the filters, cover what reflects; replace a filter that blocks too little",
-    "laser off": "do not use this laser until the layer that should have switched it off is repaired",
+    "laser off": "do not use this laser until the protection that should have switched it off is repaired",
     "load cell keeps its zero": "let cell and amplifier warm up, keep draughts and cables away",
     "calibration is recent": "calibrate the load cell again (finray rig calibrate-cell)",
     "load cell is straight": "find what rubs on the cell, tighten its screws and calibrate it again; else replace it",

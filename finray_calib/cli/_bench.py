@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
     from sim.experiments import GelParameter
 
-BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
+BENCH_HELP = "score a simulator on captures that it has not seen, by a fixed protocol"
 TACTILE_DESCRIPTION = """\
 Score a simulator on a set of tactile captures. At most six presses, spread over the set, may train it, and it is
 judged on all others. Your command is run once, with these words replaced by folders:
@@ -55,7 +55,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument(
         "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
     )
-    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the table; goes with --command")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the results; needs --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
         help="command that runs your simulator, as one string; without it, only the look-up table is scored",

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from finray_calib.lineage import Traced
 
 CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or compare two tins of a paint"
-CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
+CHECK_RUN_HELP = "try every device of a rig and judge the results against limits"
 CHECK_RUN_DESCRIPTION = """\
 Try every device of a rig: handshakes, moves of the wheel, filters in their slots, shift of the picture, dark level,
 exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a fault. Every check has
@@ -135,7 +135,7 @@ def _telling_of_parts(rig: "TactileRig") -> Iterator[Progress]:
         with progress_bar("check") as progress:
             yield progress
         return
-    guide("The stage will move and press. Keep hands away, and the switch of its motors within reach.")
+    guide("The stage will move and press. Keep your hands away, and the power switch of its motors within reach.")
     yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")
 
 
@@ -370,7 +370,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "--cleared",
         metavar="SESSION",
-        help="you have found the cause of the alarms up to this session: the charts start again after it",
+        help="session up to which you know the cause of every alarm: the charts start again after it",
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
     parser.set_defaults(run=run_history)

@@ -41,13 +41,13 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--criterion", choices=["average", "worst"], default="average",
-        help="least loss on average over the touches (default), or at the worst of them",
+        help="least loss on average over the touches (default), or at the worst touch",
     )  # fmt: skip
     parser.add_argument(
         "--aim", choices=["brightness", "normal"],
-        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps "
-             "with --objectives all hold (default: the latter, if the sweeps hold it and neither reports nor weights "
-             "are given)",
+        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which needs "
+             "sweeps made with --objectives all (default: normal for such sweeps without reports and weights, else "
+             "brightness)",
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",

@@ -52,7 +52,7 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = jobs.add_parser("scale", help=PIXEL_SCALE_HELP, description=PIXEL_SCALE_DESCRIPTION)
     parser.add_argument(
         "lens", type=Path, nargs="+", metavar="PICTURE",
-        help="the board turned and tilted; or the folder of one tactile session, whose plan has the board on_pad",
+        help="pictures of the board turned and tilted; or one tactile session, whose plan has [board] on_pad = true",
     )  # fmt: skip
     parser.add_argument("--pad", type=Path, metavar="PICTURE", help="picture of the board where the pad's coat is")
     parser.add_argument(
@@ -415,7 +415,7 @@ def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
     parser.add_argument(
         "--contact-depth-mm", type=float, metavar="MM",
-        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 u)",
+        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 sd)",
     )  # fmt: skip
     add_out(parser, "CAPTURE.sensed.json")
     parser.set_defaults(run=run_sense)

@@ -151,11 +151,11 @@ def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that it was trained on; the same command with more --presses continues with them")
+    wrote(kept, "presses that trained the surrogate; the same command with more --presses continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{100 * taught.level_share:.0f} % of them one of up to {100 * most:.2f} %"
+        share = f"{100 * taught.level_share:.0f} % of them up to {100 * most:.2f} %"
         say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
         say(

@@ -393,7 +393,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
         return (
             f"no capture shows how far the finger differs from the simulation. Until one does, {_ERROR_CURVE}. The "
             f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities are means over such errors. "
-            "For a finger with only one kind of error they are mostly too low, which only captures can show"
+            "For a finger with only one kind of error the probabilities are mostly too low, which only captures can "
+            "show"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen. "

@@ -373,7 +373,7 @@ class LabelTable:
         for table, keys in ((self.by_path, paths), (self.by_last, sole), (self.by_last, last_parts)):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
-                raise LeftOutError("several lines of the table name it, and they differ")
+                raise LeftOutError("several lines of the table name this press, with different values")
             if rows and keys is not last_parts:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None

@@ -536,7 +536,7 @@ class _Folder:
             return placed
         places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
         if places is None:
-            raise LeftOutError("the recipe gives no outline for it")
+            raise LeftOutError("the recipe gives no outline for this press")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
 
@@ -605,7 +605,7 @@ class _Folder:
         self._made_of.add(path)
         row = table.row(name, self.files[name].relative_to(self.folder), self._last_parts[name])
         if row is None:
-            raise LeftOutError(f"no line of {path.name} names it")
+            raise LeftOutError(f"no line of {path.name} names this press")
         if value not in row:
             raise ImportFormatError(
                 f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"

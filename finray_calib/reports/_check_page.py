@@ -278,7 +278,7 @@ def _limits(history: History, reference: int) -> tuple[str, ...]:
         f"The limits give {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, with "
         f"mean and standard deviation estimated from {reference} sessions. That holds for sessions that are "
         "independent and normally distributed.",
-        "A fault that the reference already has is not seen, because the first sessions define what is normal.",
+        "A fault that the reference sessions already have is not found, because they define what is normal.",
         "A chart shows that something changed, but not what: lamp, filter and white tile change the same signals.",
         "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
         *outliers,

@@ -52,15 +52,15 @@ _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "rig
 def judged_skill(low: float | None, high: float | None) -> tuple[Light, str]:
     """Return the light of a skill by its 95 % interval, and the reason."""
     if low is None or high is None:
-        return "care", "one or two presses do not show how others would score"
+        return "care", "one or two presses do not show how other presses would score"
     well = f"{WELL_KNOWN:g}"
     if low >= WELL_KNOWN:
         return "good", f"its interval lies above {well}; 1 is perfect"
     if low <= 0.0:
         where = "lies below" if high < 0.0 else "reaches"
-        return "bad", f"its interval {where} 0, which an untouched image scores"
+        return "bad", f"its interval {where} 0, the score of an untouched image"
     where = "lies below" if high < WELL_KNOWN else "reaches below"
-    return "care", f"its interval lies above 0, an untouched image, but {where} {well}"
+    return "care", f"its interval lies above 0, the score of an untouched image, but {where} {well}"
 
 
 def headline(report: PhotometricErrorReport) -> RegionError:

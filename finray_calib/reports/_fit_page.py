@@ -461,7 +461,7 @@ def _key_numbers(paint: PaintWithoutEmission) -> tuple[KeyNumber, ...]:
     """Return the few numbers that stand beside the verdict."""
     found = paint.detection
     limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit)}"
-    modes = f"with 95 %, modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
+    modes = f"with 95 % confidence, for modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
     beyond, threshold = fixed(found.statistic_sd, 1), fixed(found.threshold_sd, 1)
     return (
         KeyNumber("Energy yield", limit, modes),
