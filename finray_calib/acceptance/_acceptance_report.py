@@ -191,7 +191,7 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
     if not facts.revisits:
         if "revisits" in facts.errors:
             return ()
-        return (unmeasured("revisits", name, what, "UNDECIDED", "the plan asks for no repeat, or names one filter"),)
+        return (unmeasured("revisits", name, what, "UNDECIDED", "the plan asks for none, or has one filter only"),)
     moved, still = (
         math.sqrt(sum(value**2 for value in values) / len(values))
         for values in ([r.moved_rel for r in facts.revisits], [r.still_rel for r in facts.revisits])

@@ -215,8 +215,8 @@ def _presses(
     unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
     if unasked:
         raise CompareError(
-            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only those of "
-            f"{protocol / 'judge'}"
+            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only the "
+            f"presses in {protocol / 'judge'}"
         )
     rendered = read_renders(renders, {name: captures[name] for name in judged})
     missing = sorted(set(judged) - rendered.keys())

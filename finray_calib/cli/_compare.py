@@ -56,7 +56,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "--relative", action="store_true",
         help="judge only the change by contact: the captured image without contact replaces that of the render "
-             "(linear values)",
+             "(needs linear values)",
     )  # fmt: skip
     parser.add_argument(
         "--normal-map", type=Path, metavar="FILE",

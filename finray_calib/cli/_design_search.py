@@ -583,8 +583,8 @@ class _AssessedParts:
         """Warn of parts that another version or commit computed."""
         other = "; ".join(f"{name} by {code}" for name, code in self._other_code.items())
         if other:
-            warn(f"parts computed by other code than the present one ({self._origin.code}) are kept: {other}. "
-                 "To compute all parts anew, give another --out")  # fmt: skip
+            warn(f"parts computed by other code than this ({self._origin.code}) are kept: {other}. To compute all parts "
+                 "anew, give another --out")  # fmt: skip
 
 
 def _swept(

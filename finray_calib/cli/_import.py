@@ -50,7 +50,7 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_captures_format(formats)
     dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
     dtact.add_argument(
-        "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
+        "--predict-from", type=Path, metavar="FOLDER", help="another sensor, whose depth table predicts the press"
     )
     pi = _add_format(formats, "raspberry-pi", "images of one press, taken with rpicam-still", RASPBERRY_PI)
     pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
@@ -425,10 +425,10 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
              "radius_px",
     )  # fmt: skip
     parser.add_argument(
-        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball, replaces that of the recipe"
+        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball; replaces the recipe's"
     )
     parser.add_argument(
-        "--mm-per-px", type=float, metavar="S", help="mm per pixel, replaces that of the recipe; not px per mm"
+        "--mm-per-px", type=float, metavar="S", help="scale in mm per pixel, not px per mm; replaces the recipe's"
     )
     parser.add_argument(
         "--predict-from", type=int, metavar="N", help="train a look-up table on N presses and predict the others"

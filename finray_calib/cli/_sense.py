@@ -190,14 +190,14 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     if not (folder / "session.json").exists():
         raise CompareError(
             f"{folder}: holds no tactile session (session.json); give the folder that 'finray capture' wrote, or "
-            "pictures of the board, the one of the board on the pad with --pad"
+            "pictures of the board, and with --pad the picture of the board on the pad"
         )
     session = read_record(folder / "session.json", TactileSession)
     board = session.plan.board
     if board is None or not board.on_pad:
         raise CompareError(
             f"{folder}: its plan does not state that the first picture shows the board on the pad ([board], "
-            "on_pad = true); give the pictures by name, the one of the board on the pad with --pad"
+            "on_pad = true); give the pictures by name, and with --pad the picture of the board on the pad"
         )
     chosen: list[Path] = []
     for place in range(1, board.images + 1):
@@ -211,7 +211,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
         elif place == 1:
             raise CompareError(
                 f"{folder}: holds no picture of the board on the pad (was the session interrupted?): "
-                "capture it again, or give the pictures by name, the one of the board on the pad with --pad"
+                "capture it again, or give the pictures by name, and with --pad the picture of the board on the pad"
             )
     return board, chosen[0], chosen[1:]
 
@@ -404,8 +404,8 @@ RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a pictu
 RUN_DESCRIPTION = """\
 Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and beside it
 a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
-presses that the map was not trained on. The command warns when it was trained on this press, because the result then
-proves nothing."""
+presses that the map was not trained on. The command warns when the map was trained on this press, because the result
+then proves nothing."""
 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -433,7 +433,7 @@ def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
     holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
     return (
         f"; with an assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and "
-        f"the order {holds}; with independent changes the ratio is {order.independent_ratio:.3f}"
+        f"the order {holds}; with independent changes the ratio is at least {order.independent_ratio:.3f}"
     )
 
 

@@ -289,7 +289,7 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
     yield KeyNumber(
         "Compared",
         f"{compared} of {total}",
-        "pairs; the others are named below",
+        "pairs" if compared == total else "pairs; the others are named below",
         light,
         "all" if compared == total else "not all",
     )

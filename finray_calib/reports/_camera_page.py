@@ -83,7 +83,7 @@ _UNCERTAINTY: Final = (
 _TRANSFER_WORDS: Final = (
     "Temporal variance of a pixel against its mean above the dark mean, for every channel, with the line whose slope "
     "is the system gain.",
-    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: these marks "
+    "Photon transfer. Filled marks: exposures used for the line, up to 70 % of saturation. What to see: these marks "
     "lie on the line, and the variance falls where the channel saturates.",
 )
 _SNR_WORDS: Final = (
@@ -94,7 +94,7 @@ _SNR_WORDS: Final = (
 _LINEARITY_WORDS: Final = (
     "Deviation of the signal from a line through exposure, in per cent, for every channel, with the band of the lamp's "
     "repeatability.",
-    "Deviation from linearity, 5 to 95 % of saturation. Grey band: one frame of the lamp repeats within it (one "
+    "Deviation from linearity, 5 to 95 % of saturation. Grey band: how well the light of one frame repeats (one "
     "standard deviation).",
 )
 

@@ -263,7 +263,7 @@ def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Pi
     hatched = (
         ""
         if between is None
-        else f" Hatched: between {between} it costs at most " + (f"{percent(decision.tolerance_rel)} more.")
+        else f" Hatched: angles between {between} cost at most {percent(decision.tolerance_rel)} more."
     )
     return drawing(
         mounting_figure(decision, sweep.design),

@@ -347,7 +347,7 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
     order = [
         "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best.",
         "The finger from the side, to scale.",
-        "Hatched: between 26 and 41 deg it costs at most 2 % more.",
+        "Hatched: angles between 26 and 41 deg cost at most 2 % more.",
         "The angle is not decided 32 deg ! with care : captures are needed",
         "What each place loses",
         "8 mm 33 % 63 deg 22 % 52 %",
