@@ -583,7 +583,7 @@ class _AssessedParts:
         """Warn of parts that another version or commit computed."""
         other = "; ".join(f"{name} by {code}" for name, code in self._other_code.items())
         if other:
-            warn(f"parts computed by other code than this ({self._origin.code}) are kept: {other}. To compute all parts "
+            warn(f"parts computed by other code than this ({self._origin.code}) are kept: {other}. To compute them "
                  "anew, give another --out")  # fmt: skip
 
 
