@@ -68,9 +68,10 @@ normal, z along the finger), so that the parts fit together:
   skeleton     fins, ribs and tip, one closed body
   base_plate   printed separately, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
   backing      plate on the back fin, where the design has one
-  mould        tray in which the pad is cast with its coat down. The tray is open where the inner face will be; the film
-               that closes it has a flange, which lies on the rim. The walls are upright, without an allowance for
-               shrinkage
+  mould        tray in which the pad is cast with its coat down. The tray is
+               open where the inner face will be; the film that closes it
+               has a flange, which lies on the rim. The walls are upright,
+               without an allowance for shrinkage
 
 STL is for slicers. STEP (AP214) is for CAD programs: it holds planes, and the exact cylinder or ellipsoid on the bottom
 of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of their curve."""

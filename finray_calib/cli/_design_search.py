@@ -105,10 +105,10 @@ ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with 
 ASSESS_DESCRIPTION = """\
 Find what a designer needs to know first about a finger:
 
-  light angle  the decision by the error of the sensed normal at six places along the pad, and the brightness around
-               contacts at five places
-  tolerances   how far the finger with that light may vary before the error has grown by a tenth, for contacts along
-               the pad
+  light angle  the decision by the error of the sensed normal at six places
+               along the pad, and the brightness around contacts at five
+  tolerances   how far the finger with that light may vary before the error
+               has grown by a tenth, for contacts along the pad
   stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
 
 --pad gives the pad another size: mirror and camera follow it, panels, tip and backing move with its length.
