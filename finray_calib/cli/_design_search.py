@@ -106,7 +106,7 @@ ASSESS_DESCRIPTION = """\
 Find what a designer needs to know first about a finger:
 
   light angle  the decision by the error of the sensed normal at six places
-               along the pad, and the brightness around contacts at five
+               along the pad, and the brightness around five contacts
   tolerances   how far the finger with that light may vary before the error
                has grown by a tenth, for contacts along the pad
   stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
