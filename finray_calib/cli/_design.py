@@ -68,10 +68,9 @@ normal, z along the finger), so that the parts fit together:
   skeleton     fins, ribs and tip, one closed body
   base_plate   printed separately, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
   backing      plate on the back fin, where the design has one
-  mould        tray in which the pad is cast with its coat down. The tray is
-               open where the inner face will be; the film that closes it
-               has a flange, which lies on the rim. The walls are upright,
-               without an allowance for shrinkage
+  mould        tray in which the pad is cast with its coat down; open where
+               the inner face will be. The flange of the film that closes it
+               lies on the rim. Walls are upright, without shrinkage allowance
 
 STL is for slicers. STEP (AP214) is for CAD programs: it holds planes, and the exact cylinder or ellipsoid on the bottom
 of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of their curve."""
@@ -82,8 +81,7 @@ Rank every pair of paints, one on each wall, by the expected error of the normal
 anything is moulded. The error is that of a map from colour to normal at places of the pad that it has not seen,
 with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
 of the design. The uncertainty of the emission comes from the posterior draws of each calibration. All pairs share
-paths, noise and draws. The last column says which pairs differ from the best one, at 95 % confidence for all pairs
-together.
+paths, noise and draws. The last column says which pairs differ from the best one, at 95 % for all pairs together.
 
 Light is traced once for all pairs; another pair costs a second. The intervals leave out the camera's response where it
 is assumed, the reflectance of the paints, and how far the simulation is from a real finger, which all pairs share."""
@@ -163,8 +161,7 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--lining-mm",
         type=float,
         metavar="MM",
-        help="thickness of the sheet on the mould's floor, for a smooth pad (default: 0.1, the paper's Mylar; 0 if the "
-        "pad is ellipsoidal)",
+        help="thickness of the sheet on the mould's floor (default: 0.1, the paper's Mylar; 0 for an ellipsoidal pad)",
     )
     export.set_defaults(run=run_export)
 
@@ -230,8 +227,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
 
     if arguments.number is not None or arguments.keep:
         raise FitError(
-            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), for which single filters "
-            "are ranked"
+            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), which ranks single filters"
         )
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
@@ -269,9 +265,7 @@ def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFi
             f"  {band.center_nm:5g} nm, {band.fwhm_nm:g} nm wide"
             + ("  (of the rig)" if band.name in found.kept else "")
         )
-    say(
-        f"  screening: expected error {found.screened_rel:.3f}, with the rig's own filters {found.screened_rig_rel:.3f}"
-    )
+    say(f"  screening: expected error {found.screened_rel:.3f}, with the rig's filters {found.screened_rig_rel:.3f}")
     for name, ratio in (("median", found.median_ratio), ("mean", found.mean_ratio)):
         if len(found.errors):
             say(

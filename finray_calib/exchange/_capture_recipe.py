@@ -234,9 +234,7 @@ class RecipeForce(Model):
 
     file: Pattern = Field(description="path within the folder; for pictures, a table, or an npz or JSON file for each")
     press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
-    column: str | None = Field(
-        default=None, description="column or array that holds the force; leave out for npy files"
-    )
+    column: str | None = Field(default=None, description="column or array that holds the force; leave out for npy")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
@@ -457,10 +455,7 @@ def _json_number(path: Path, name: str, at: int | None) -> float:
         raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)) or 'nothing'}")
     values = found[name] if found[name] and isinstance(found[name], list) else [found[name]]
     if (at is None and len(values) != 1) or (at or 0) >= len(values):
-        raise ImportFormatError(
-            f"{path}: '{name}' holds {len(values)} numbers, of which one is needed; name one, as {name}[0] to "
-            f"{name}[{len(values) - 1}]"
-        )
+        raise ImportFormatError(f"{path}: '{name}' holds {len(values)} numbers; name one, such as {name}[0]")
     number = values[at or 0]
     if isinstance(number, bool) or not isinstance(number, (int, float)) or not np.isfinite(float(number)):
         raise LeftOutError(f"its '{name}' is not a finite number")
@@ -509,8 +504,7 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             if match[1] in found:
                 raise ImportFormatError(
                     f"{found[match[1]]} and {path.relative_to(folder)} are both press '{match[1]}' by presses.files "
-                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or let {PRESS} stand for the part "
-                    "that differs"
+                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or let {PRESS} cover what differs"
                 )
             found[match[1]] = path
     if not found:

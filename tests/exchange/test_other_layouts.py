@@ -469,7 +469,7 @@ def test_a_press_whose_json_label_holds_no_number_is_left_out_as_one_without_a_l
         ('{"Fz": 1.0, "r": 5}', r"1\.json: 'contact\.x' is missing; it holds Fz, r$"),
         (
             '{"Fz": [1.0, 2.0]}',
-            r"1\.json: 'Fz' holds 2 numbers, of which one is needed; name one, as Fz\[0\] to Fz\[1\]$",
+            r"1\.json: 'Fz' holds 2 numbers; name one, such as Fz\[0\]$",
         ),
     ],
 )
