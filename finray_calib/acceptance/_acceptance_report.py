@@ -116,7 +116,7 @@ def judge_wheel(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...]:
         evidence = f"the first one was sent from slot {first.from_slot} to slot {first.to_slot} and reported {where}"
     else:
         evidence = (
-            f"all {moves} moves arrived, as position and, where bright enough, frame after each one show; with "
+            f"all {moves} moves arrived, by the reported position and, where bright enough, the frame after each; with "
             f"95 % confidence at most {100 * largest_failure_share(moves):.1f} % of moves fail"
         )
     durations_s = [move.duration_s for move in facts.moves]
@@ -191,7 +191,7 @@ def judge_revisits(facts: CheckFacts, plan: CheckPlan) -> tuple[CheckResult, ...
     if not facts.revisits:
         if "revisits" in facts.errors:
             return ()
-        return (unmeasured("revisits", name, what, "UNDECIDED", "the plan asks for none, or names one filter only"),)
+        return (unmeasured("revisits", name, what, "UNDECIDED", "the plan asks for none, or has one filter only"),)
     moved, still = (
         math.sqrt(sum(value**2 for value in values) / len(values))
         for values in ([r.moved_rel for r in facts.revisits], [r.still_rel for r in facts.revisits])
@@ -486,7 +486,7 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
     elif passed <= 3.0 * passed_sd:
         reason = f"the laser is not seen behind filter {stray.passed.filter_name} either; check tile, box and laser"
     elif max(dn for one in stray.blocked for dn in one.level.dark_dn) > SATURATED_SHARE * (2**camera.bit_depth - 1):
-        reason = "the frames with the laser off are saturated, so more light adds nothing to them; find what is lit"
+        reason = "the frames with the laser off are saturated, so stray light would not show; find the light"
     if reason is not None:
         return (unmeasured("stray light", name, what, "UNDECIDED", reason, words),)
 
@@ -557,8 +557,8 @@ def _unseen(found: TriggerLatency) -> str:
     noisy = sum(one.lit_share_sd > MOST_SHARE_SD for one in found.tries)
     return (
         f"of {len(found.tries)} exposures of {found.exposure_s:.3g} s, {lit} began after the {found.light} was on, "
-        f"{dark} ended before and {noisy} are too noisy: dim the {found.light} or close the aperture, for exposures "
-        "longer than switching takes, and raise latency_tries"
+        f"{dark} ended before and {noisy} are too noisy: dim the {found.light} or close the aperture, so that "
+        "exposures last longer than switching, and raise latency_tries"
     )
 
 

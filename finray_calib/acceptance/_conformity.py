@@ -227,7 +227,7 @@ def measured(
     """Return the result of a check with a number, judged against its limits."""
     low, high = (None, None) if limits is None else (limits.low, limits.high)
     if math.isnan(value):
-        why = f"{evidence}; what was seen gives no number"
+        why = f"{evidence}; the observations give no number"
         return unmeasured(section, name, what, "UNDECIDED", why, limit_text(low, high, unit))
     return CheckResult(
         section=section,

@@ -65,12 +65,12 @@ REMEDIES: Final = {
     "lamp settles": "check the lamp's supply, or wait for longer before every session",
     "dark level stays": "let the camera warm up before every session",
     "stray light": "close gaps beside the filters, cover what reflects; replace a filter that blocks too little",
-    "laser off": "do not use this laser until the layer that should have switched it off is repaired",
+    "laser off": "do not use this laser until the protection that should have switched it off is repaired",
     "load cell keeps its zero": "let cell and amplifier warm up, keep draughts and cables away",
     "calibration is recent": "calibrate the load cell again (finray rig calibrate-cell)",
     "load cell is straight": "find what rubs on the cell, tighten its screws and calibrate it again; else replace it",
     "calibration holds": "lay the mass on nothing but the cell, or calibrate the cell again with masses that you trust",
-    "load cell is quiet": "lead its cable away from motors and mains, tighten its screws, check the amplifier's supply",
+    "load cell is quiet": "keep its cable away from motors and mains, tighten its screws, check the amplifier's supply",
     "load cell returns to zero": "find what rubs on the cell, tighten its screws; replace one that was overloaded",
     "readings a second": "correct rate_hz of the rig file, or the pin of the amplifier that sets its rate",
     "readings in time": "close other programs, plug the board straight into the computer, check its cable",
@@ -147,7 +147,7 @@ def _handshake(hand: Handshake, most_s: float) -> CheckResult:
         return unmeasured("handshake", name, what, "UNDECIDED", "it is switched by hand, so no device can be asked")
     if (said.role, said.driver) != (hand.role, hand.driver):
         return unmeasured(
-            "handshake", name, what, "FAIL", f"a {said.role} behind driver '{said.driver}' answers", hand.driver
+            "handshake", name, what, "FAIL", f"it answers as a {said.role} of driver '{said.driver}'", hand.driver
         )
     if not words:
         return unmeasured("handshake", name, what, "UNDECIDED", "it answers but does not identify itself")
@@ -178,8 +178,8 @@ def judge_reconnect(facts: CheckFacts | PressFacts, most_s: float) -> tuple[Chec
         now = said.get(others[0])
         named = "" if now is None else " ".join(filter(None, _words_of(now)))
         reason = (
-            f"another {others[0]} answers than before, or it names itself differently ({named or 'no name'}); give its "
-            "address by serial number in the rig file"
+            f"a different {others[0]} answers than before, or the same one gives another name ({named or 'no name'}); "
+            "give its address by serial number in the rig file"
         )
         return (unmeasured("reconnect", name, what, "FAIL", reason),)
     limits = ToleranceInterval(None, most_s)
@@ -203,8 +203,8 @@ NO_BLOCKED_REFERENCE: Final = (
     "only dimmed would look off; give the wheel a filter that blocks the laser"
 )
 NOT_LIT_CLOSED: Final = (
-    "it was not shown that the laser was on while its beam was closed by hand, so the cap may let light through: its "
-    "controller must report it on before and after, and its light must be back when the beam is open; check again"
+    "it was not shown that the laser was on while its beam was closed by hand, so the cap may let light through: the "
+    "laser must be reported on before and after, and its light must return when the beam is opened; check again"
 )
 LEAST_BACK_SHARE: Final = 0.5
 """Of the laser's light before the beam was closed: so much must be back when it is open."""
@@ -306,7 +306,7 @@ def _by_report(found: CheckResult, facts: CheckFacts, rig: RigFile) -> CheckResu
     seen_dn = sum(passed.white_dn) / len(passed.white_dn) - dark_dn
     if seen_dn < LEAST_SEEN * margin_dn or max(passed.dark_dn) > dark_dn + margin_dn:
         return not_proven(found, UNSEEN_LASER)
-    dark = f"before, the camera saw it dark behind filter {stray.passed.filter_name} whenever it was reported off"
+    dark = f"before, the camera saw no light behind filter {stray.passed.filter_name} while the laser was reported off"
     return _with_unseen(found, margin_dn / seen_dn, dark, rig.laser)
 
 
@@ -325,7 +325,7 @@ def _by_photodiode(found: CheckResult, diode: DiodeLevels | None, laser: LaserSe
     if abs(diode.closed_rel - diode.off_rel) > diode.threshold_rel - diode.closed_rel:
         return not_proven(found, OTHER_DARK)
     unseen_rel = (diode.threshold_rel - diode.closed_rel) / (diode.on_rel - diode.closed_rel)
-    dark = f"its dark level is what it read with the beam closed by hand, {diode.readings} times in a row"
+    dark = f"the photodiode's dark level was read {diode.readings} times in a row with the beam closed by hand"
     found = _with_unseen(found, unseen_rel, dark, laser)
     back_rel = (diode.on_again_rel or 0.0) - diode.closed_rel
     if not diode.reported_lit_closed or back_rel < LEAST_BACK_SHARE * (diode.on_rel - diode.closed_rel):
@@ -343,7 +343,7 @@ def _by_camera(found: CheckResult, sight: SightLevels | None, laser: LaserSettin
     seen_dn = sight.on_dn - sight.blocked_off_dn
     if sight.blocked_on_dn - sight.blocked_off_dn > MOST_BLOCKED_SHARE * seen_dn:
         return not_proven(found, f"the laser is seen behind filter {sight.blocked_filter} too; {NO_BLOCKED_REFERENCE}")
-    dark = f"its dark level is what it saw behind filter {sight.blocked_filter}, which blocks the laser"
+    dark = f"the camera's dark level was taken behind filter {sight.blocked_filter}, which blocks the laser"
     found = _with_unseen(found, (sight.threshold_dn - sight.blocked_off_dn) / seen_dn, dark, laser)
     return not_proven(found, BETWEEN_PULSES) if sight.exposure_s < SLOWEST_PULSES_S else found
 
@@ -358,15 +358,16 @@ def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserS
     found = found.model_copy(update={"evidence": told})
     if not CLASS_1_NM[0] <= laser.wavelength_nm <= CLASS_1_NM[1]:
         why = (
-            f"finray has no limit of class 1 at {laser.wavelength_nm:g} nm, so it is not known whether that is harmless"
+            f"finray has no limit of class 1 at {laser.wavelength_nm:g} nm, so it is not known whether such light is "
+            "harmless"
         )
         return not_proven(found, why)
     if unseen_mw <= CLASS_1_MW:
         return found
     return not_proven(
         found,
-        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so it does not prove 'off'; shade the "
-        "instrument from other light, or let it see more of the laser",
+        f"that is more than the {CLASS_1_MW:g} mW of a class 1 laser, so 'off' is not proved; shade the instrument "
+        "from other light, or place it where it sees more of the laser",
     )
 
 

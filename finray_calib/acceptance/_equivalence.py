@@ -44,9 +44,8 @@ QUANTILES: Final = 400
 """Of a normal distribution, in the place of draws."""
 SPECTRUM_TITLE: Final = "Spectrum, relative to the peak of the first tin"
 ONE_COAT: Final = (
-    "posterior draws of one coat: errors that the rig makes on both in the same way are counted twice, and the "
-    "differences "
-    "between coats of a tin are not counted at all; measure two coats or more of each"
+    "posterior draws of one coat: errors that the rig makes on both tins in the same way are counted twice, and the "
+    "differences between coats of a tin are not counted at all; measure two coats or more of each tin"
 )
 
 

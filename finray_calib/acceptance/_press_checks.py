@@ -82,11 +82,11 @@ LAID_SHARE: Final = 0.05
 LEAST_WEIGHT_SHARE: Final = 0.2
 """Of the rig's force limit: a factor that a lighter mass shows need not hold for the forces of presses."""
 ONE_OF_THEM: Final = (
-    "it may be one of the masses that calibrated the cell, and then an error of its value would not show; place "
-    "another one, or give its certificate"
+    "this mass may be one of the masses that calibrated the cell, and then an error of its value would not show; "
+    "place another mass, or give the certificate of this one"
 )
 ONE_STEP: Final = (
-    "no move was long enough to be stopped within it, so that this shows only that no further step was begun, not that "
+    "no move was long enough to be stopped before its end, so this shows only that no further step was begun, not that "
     "a force stops a move; raise force_limit_n of the plan, or shorten step_mm of the rig file"
 )
 TO_ITS_END: Final = "a move was not seen to be stopped before its end"
@@ -96,7 +96,8 @@ UNKNOWN_AFTER_A_STOP: Final = "after a stop within a move the position of the st
 LEAST_LEFT_SHARE: Final = 0.05
 """Of a move with its limit halfway: one that a force stops ends well before."""
 NO_FACTOR: Final = (
-    "this check did not confirm the cell that measured it ('calibration holds'), so the true force is not known"
+    "the force was measured by a cell that the check 'calibration holds' did not confirm, so the true force is not "
+    "known"
 )
 DENT_MOVED_PX: Final = 5.0
 LOST_BITS: Final = (
@@ -204,7 +205,7 @@ def _calibration(facts: PressFacts, plan: TactileCheckPlan, cell: LoadCellSettin
     if cell.force_limit_n > heaviest_n:
         beyond = (
             f"force_limit_n = {cell.force_limit_n:g} N of the rig file exceeds the heaviest mass, {heaviest_n:.3g} N; "
-            "calibrate with heavier masses, or lower it"
+            "calibrate with heavier masses, or lower force_limit_n"
         )
         return first, not_proven(second, beyond), factor
     return first, second, factor
@@ -363,7 +364,7 @@ def _by_camera(axis: str, facts: PressFacts, plan: TactileCheckPlan) -> CheckRes
     sd_px = math.hypot(scatter_px, math.sqrt(2.0) * DENT_LIGHT_PX)
     ratio = abs(moved_px) * plan.mm_per_px / way_mm
     sd = ratio * math.hypot(sd_px / moved_px, plan.mm_per_px_u_rel)
-    evidence = f"{seen}, {number} times on either side of the position; not which way round"
+    evidence = f"{seen}, {number} times on either side of the position; the direction was not checked"
     return measured(
         "stage", name, what, 100 * (ratio - 1.0), 100 * sd, "%", evidence, limits=ToleranceInterval(-most, most)
     )
@@ -383,7 +384,7 @@ def _by_block(stage: StageSettings, facts: PressFacts, plan: TactileCheckPlan) -
         f"pad, by {axis}, {pad.size} times each"
     )
     if abs(way_mm) < LAID_SHARE * known.thickness_mm + 2.0 * block.touch_uncertainty_mm:
-        why = f"{evidence}; place it on the pad, and check again"
+        why = f"{evidence}; place the block on the pad, and check again"
         return unmeasured("stage", name, what, "UNDECIDED", why, words)
     scatter_mm = math.sqrt((pad.var(ddof=1) + on_block.var(ddof=1)) / pad.size)
     sd_mm = math.hypot(math.sqrt(2.0) * max(block.touch_uncertainty_mm, scatter_mm), known.uncertainty_mm)

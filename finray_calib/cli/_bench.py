@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from data_schemas import ComparisonBatch, SimulatedPress, TactileCapture
     from sim.experiments import GelParameter
 
-BENCH_HELP = "score a simulator on captures that it has not seen, by one protocol"
+BENCH_HELP = "score a simulator on captures that it has not seen, by a fixed protocol"
 TACTILE_DESCRIPTION = """\
 Score a simulator on a set of tactile captures. At most six presses, spread over the set, may train it, and it is
 judged on all others. Your command is run once, with these words replaced by folders:
@@ -31,12 +31,12 @@ judged on all others. Your command is run once, with these words replaced by fol
   {renders}  where your command writes a folder for each judged press, under the name of the press, with the files that
              'finray import render' reads
 
-Your simulator is scored beside a table trained on the same presses, and beside doing nothing, which scores 0; with
---elastic-gel also beside a physical model that is fitted to these presses: a ball in an elastic layer under three
-lights. A press whose image was used for training is never judged. OUT will hold the page of the comparison
-(scores/summary.html), and row.json and row.csv with the skill and its interval, the digests of all captures, the
-command and the time that it took. A run that was interrupted or failed starts from the beginning when the same OUT is
-given again."""
+Your simulator is scored beside a look-up table trained on the same presses, and beside doing nothing, which scores 0.
+With --elastic-gel it is also scored beside a physical model that is fitted to these presses: a ball in an elastic
+layer under three lights. A press whose image was used for training is never judged. OUT will hold the page of the
+comparison (scores/summary.html), and row.json and row.csv with the skill and its interval, the digests of all captures,
+the command and the time that it took. A run that was interrupted or failed starts from the beginning when the same OUT
+is given again."""
 TABLE, BLANK = "table of the training presses", "doing nothing"
 GEL = "elastic gel under three lights"
 MOST_TEACHING = 6
@@ -55,10 +55,10 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument(
         "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
     )
-    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the table; goes with --command")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the results; needs --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
-        help="command that runs your simulator, as one string; without it, only the table is scored",
+        help="command that runs your simulator, as one string; without it, only the look-up table is scored",
     )  # fmt: skip
     tactile.add_argument("--teach", type=int, default=MOST_TEACHING, metavar="N", help="training presses (default: 6)")
     tactile.add_argument(
@@ -215,8 +215,8 @@ def _presses(
     unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
     if unasked:
         raise CompareError(
-            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only those of "
-            f"{protocol / 'judge'}"
+            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only the "
+            f"presses in {protocol / 'judge'}"
         )
     rendered = read_renders(renders, {name: captures[name] for name in judged})
     missing = sorted(set(judged) - rendered.keys())

@@ -46,8 +46,8 @@ under lamp and laser through every filter, and a room-light frame, at exposures 
 
 "camera": flat frames of the white tile from dark to beyond saturation and dark frames of the same exposures.
 
-"tactile": presses on a finger, each between images of no contact. Its rig file describes a camera alone, where a
-person presses, or also a stage and a load cell, which press without a person and stop at a force.
+"tactile": presses on a finger, each between images of no contact. With a camera alone in the rig file, a person
+presses; with a stage and a load cell in it as well, the rig presses by itself and stops at a force.
 
 Writes a folder with raw 16-bit TIFF frames, a journal, checksums and session.json. An interrupted session
 continues where it stopped with --resume."""
@@ -157,7 +157,8 @@ def _stated_presses(times: "StatedTimes", *, by_hand: bool) -> str:
     hands = " plus the time for what you do by hand" if by_hand else ""
     return (
         f"this takes about {times.typical_s / 60:.1f} min{hands}, and at most {times.longest_s / 60:.0f} min{hands}. "
-        f"Recovery from faults may add up to {times.healing_s / 60:.0f} min; then the session ends, and can be resumed"
+        f"Recovery from faults may add up to {times.healing_s / 60:.0f} min; after that the session ends; it can be "
+        "resumed"
     )
 
 
@@ -225,10 +226,10 @@ def capture_paint(arguments: argparse.Namespace) -> None:
             healing_s=expected.healing_s,
         )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
-        say(f"{expected.targets} changes of the target, {expected.moves} moves of the wheel")
+        say(f"{expected.targets} changes between sample and references, {expected.moves} moves of the wheel")
         say(_stated(expected.typical_s, expected.longest_s, expected.healing_s))
         for instruction in dict.fromkeys(nobody.instructions):
-            say(f"would be asked during the capture: {instruction}")
+            say(f"you will be asked during the capture: {instruction}")
         say("the rig is ready; nothing was moved, lit or stored")
         suggest_command("finray capture", arguments.plan, "--rig", arguments.rig)
         return
@@ -249,8 +250,8 @@ def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
     """Return how long a session takes at the most, as it is told before it begins."""
     return (
         f"this takes about {typical_s / 60:.0f} min ({longest_s / 60:.0f} min if every exposure has to be the longest "
-        f"that the rig file allows). Recovery from faults may add up to {healing_s / 60:.0f} min; then the session "
-        "ends, and can be resumed"
+        f"that the rig file allows). Recovery from faults may add up to {healing_s / 60:.0f} min; after that the "
+        "session ends; it can be resumed"
     )
 
 
@@ -274,7 +275,7 @@ def _ask_to_mend(what: str) -> bool:
         return False
     discard_typed_input()
     sys.stderr.write(
-        f"\n{what}\nThe lights are off. Repair it, close the box and press Enter; type q and press Enter to "
+        f"\n{what}\nThe lights are off. Repair the fault, close the box and press Enter; type q and press Enter to "
         "end the session here. "
     )
     sys.stderr.flush()

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from finray_calib.fit import BudgetRow
     from finray_calib.lineage import Traced
 
-CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or two tins of a paint"
-CHECK_RUN_HELP = "try every device of a rig and judge it against limits"
+CHECK_HELP = "check a rig with its hardware in the loop (acceptance), or compare two tins of a paint"
+CHECK_RUN_HELP = "try every device of a rig and judge the results against limits"
 CHECK_RUN_DESCRIPTION = """\
 Try every device of a rig: handshakes, moves of the wheel, filters in their slots, shift of the picture, dark level,
 exposure ratios, warm-up, stray light, trigger latency, and how long the laser stays on after a fault. Every check has
-a value, its standard uncertainty, a limit and a verdict: PASS, FAIL, UNDECIDED, or ERROR when a device ended it early.
+a value, its standard uncertainty, a limit and a verdict: PASS, FAIL, UNDECIDED, or ERROR if a device failed during it.
 Writes a folder with check.json, junit.xml and report.html. The white tile must be in view, and the box closed.
 
 A plan of kind "tactile check" tries a rig whose stage presses: noise, drift and zero of the load cell, moves of the
@@ -135,7 +135,7 @@ def _telling_of_parts(rig: "TactileRig") -> Iterator[Progress]:
         with progress_bar("check") as progress:
             yield progress
         return
-    guide("The stage will move and press. Keep hands away, and the switch of its motors within reach.")
+    guide("The stage will move and press. Keep your hands away, and the power switch of its motors within reach.")
     yield lambda done, total, what: guide(f"  {done + 1}/{total} {what}")
 
 
@@ -156,8 +156,8 @@ def _telling(rig: "RigFile") -> Iterator[Progress]:
 GAUGE_HELP = "gauge R&R: how much of the scatter comes from the measurement"
 GAUGE_DESCRIPTION = """\
 Analyse a gauge study: several samples, each measured in the same sessions, with repeats and, optionally, mounted again
-within a session. Take five samples or more that differ as yours do, and six sessions or more: with three, the interval
-of the measurement's standard deviation spans a factor of five.
+within a session. Take five samples or more, as different as those that you will measure, and six sessions or more:
+with three sessions, the interval of the measurement's standard deviation spans a factor of five.
 
 STUDY is a CSV file with one row for each capture, with equal numbers for each sample and session:
 
@@ -181,7 +181,7 @@ def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         choices=QUANTITIES,
         default="mode_nm",
         metavar="QUANTITY",
-        help=f"of the calibrations: {', '.join(QUANTITIES)} (mode_nm)",
+        help=f"quantity of the calibrations: {', '.join(QUANTITIES)} (default: mode_nm)",
     )
     parser.set_defaults(run=run_gauge_rr)
 
@@ -248,7 +248,7 @@ def _say_study(study: "GaugeStudy") -> None:
     say(f"  number of distinct categories: {study.distinct_categories} (5 or more are wanted)")
     for note in study.notes:
         say(f"  note: {note}")
-    say(f"{study.verdict}: below 10 % passes, above 30 % fails, each with its interval")
+    say(f"{study.verdict}: passes with the whole interval below 10 %, fails with all of it above 30 %")
     give(study=study)
 
 
@@ -295,7 +295,7 @@ def _margin(text: str) -> "tuple[ComparedQuantity, float]":
         margin = 0.0
     if known is None or not 0.0 < margin < float("inf"):
         raise argparse.ArgumentTypeError(
-            f"{text!r} must be QUANTITY=VALUE with a value above 0 and one of {', '.join(COMPARED)}"
+            f"{text!r} must be QUANTITY=VALUE, with VALUE above 0 and QUANTITY one of {', '.join(COMPARED)}"
         )
     return known, margin
 
@@ -337,15 +337,15 @@ HISTORY_DESCRIPTION = """\
 Read all paint sessions below a folder and chart, for each rig: level and colour of the lamp, each filter, the laser,
 the dark level and its growth (stray light), the sharpness of the white frames; and for each sample: level and centroid
 of the emission. The first sessions are the reference (--reference, 10). Later ones are judged by a Shewhart and an EWMA
-chart, whose limits keep the stated share of false alarms (--false-alarms, 0.01 of the sessions, all quantities
-together) for a reference of that length.
+chart. Their limits are set for the number of reference sessions, so that 1 % of good sessions (--false-alarms 0.01)
+give an alarm in any quantity.
 
 When you have found the cause of an alarm, give --cleared SESSION: the charts then start again after that session, with
 the same reference. After a change of the rig (a new lamp), move the older sessions to another folder: the rig then
 needs a new reference.
 
 The command also reports how much laser light fell on each sample and, where it was measured, how much of the emission
-this light cost.
+was lost to this light.
 Exit status: 0 in control or undecided (too few sessions), 1 out of control, 2 after a mistake."""
 OUT_OF_CONTROL = 1
 DEPTHS = ("session.json", "*/session.json", "*/*/session.json")
@@ -370,7 +370,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "--cleared",
         metavar="SESSION",
-        help="you have found the cause of the alarms up to this session: the charts start again after it",
+        help="session up to which you know the cause of every alarm: the charts start again after it",
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
     parser.set_defaults(run=run_history)
@@ -446,7 +446,7 @@ def _say_history(found: "History", sessions: int) -> None:
     if found.watched:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:
-        lost = "" if row.lost is None else f", which cost {100 * row.lost:.2g} % of the emission"
+        lost = "" if row.lost is None else f", by which {100 * row.lost:.2g} % of the emission was lost"
         say(f"  light on '{row.paint_name}': {row.dose_j:.3g} J in {_counted(row.sessions, 'session')}{lost}")
     share, each = 100 * found.false_alarm_share, 100 * found.false_alarm_share_each
     say(f"  false alarms: {share:g} % of good sessions with all charts together, {each:.2g} % with each chart")

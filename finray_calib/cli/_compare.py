@@ -17,19 +17,19 @@ from finray_calib.cli._run import (
 HELP = "compare simulated presses with tactile captures"
 DESCRIPTION = """\
 Compare a simulated press with a tactile capture over the contact patch and over the patch dilated to twice
-its half-width. Every number is printed beside that of doing nothing (the no-contact image as the simulation) and
-the floor (a repeat of the no-contact image). The headline is the skill score: 0 is doing nothing, 1 is perfect.
-The noise of linear captures with a repeat is taken out of the simulation's score but not out of the floor, so that the
-score may lie above the floor; with encoded values both contain the noise, and scores above the floor row are not
-meaningful.
+its half-width. Every number is printed beside the same number for doing nothing (the no-contact image taken as the
+simulation) and for the noise floor (a repeat of the no-contact image). The headline is the skill score: 0 is doing
+nothing, 1 is perfect. The noise of linear captures with a repeat is taken out of the simulation's score but not out of
+the floor, so that the score may lie above the floor; with encoded values both contain the noise, and scores above the
+floor row are not meaningful.
 
 With folders, one.press.json is compared with one.capture.json and so on (or the pairs of --pairs): a report for
 each, and a page over all presses with an interval over presses, from three presses on. Several folders of simulated
 presses, one of each simulator, are ranked: 'finray compare MINE TABLE CAPTURES'.
 
 The command refuses a press whose light angle, indenter, depth or position is not that of the capture, and images that
-do not belong together (channel order, exposure, encoding, bit depth, black level). It reports where the camera is not
-at the place that the render assumes; --register moves the render accordingly.
+do not belong together (channel order, exposure, encoding, bit depth, black level). It reports how far the camera is
+from the place that the render assumes; --register moves the render accordingly.
 
 With --force, the force of a press by finite elements is compared with a measured one instead."""
 
@@ -51,12 +51,12 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument(
         "--despite-mismatch",
         action="store_true",
-        help="compare images that do not belong together; say so in the report",
+        help="compare images even if they do not belong together; the report then says so",
     )
     parser.add_argument(
         "--relative", action="store_true",
         help="judge only the change by contact: the captured image without contact replaces that of the render "
-             "(linear values)",
+             "(needs linear values)",
     )  # fmt: skip
     parser.add_argument(
         "--normal-map", type=Path, metavar="FILE",
@@ -64,7 +64,7 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=Path, metavar="FILE",
-        help="also give the scale and the sizes of patch and halo in mm, by what 'finray sense scale' wrote",
+        help="also give the sizes of contact patch and dilated patch in mm, by the scale of 'finray sense scale'",
     )  # fmt: skip
     parser.add_argument(
         "--metric", action="append", default=[], metavar="NAME",
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> None:
     if len(records) == 1:
         raise CompareError(
             f"{records[0]}: the CAPTURE to compare it with is missing; add a record if SIMULATED is a record, or a "
-            f"folder if it is a folder"
+            f"folder if SIMULATED is a folder"
         )
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]

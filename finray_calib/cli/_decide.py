@@ -23,8 +23,8 @@ simulate sweep --positions' writes them; one sweep alone decides for its one pla
 expected error of the sensed normal if the sweeps were made with --objectives all, else on the brightness. The answer
 gives the angle with its tolerance, what is lost against the best at every place, the probability that another angle is
 better, and by how much. Photometric error reports, one for each physical capture, correct the simulated curves near
-their angles and show how sure they are elsewhere; without any, the angle stays undecided. The answer also names the
-capture that would help most."""
+the angles of the captures, and show how far the curves can be trusted at other angles. Without a report the angle stays
+undecided. The answer also names the capture that would help most."""
 
 
 def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,13 +41,13 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--criterion", choices=["average", "worst"], default="average",
-        help="least loss on average over the touches (default), or at the worst of them",
+        help="least loss on average over the touches (default), or at the worst touch",
     )  # fmt: skip
     parser.add_argument(
         "--aim", choices=["brightness", "normal"],
-        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which sweeps "
-             "with --objectives all hold (default: the latter, if the sweeps hold it and neither reports nor weights "
-             "are given)",
+        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which needs "
+             "sweeps made with --objectives all (default: normal for such sweeps without reports and weights, else "
+             "brightness)",
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",

@@ -40,7 +40,7 @@ def add_demo(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument("--sensor", type=Path, metavar="FILE", help="camera response (CSV) of both cameras")
     add_engine(parser)
-    add_out(parser, "finray-demo/, or the next free finray-demo-N/, or the last one if it was interrupted")
+    add_out(parser, "finray-demo/, or the next free finray-demo-N/; the last one is continued if it was interrupted")
     add_seed(parser)
     parser.set_defaults(run=run_demo_verb)
 

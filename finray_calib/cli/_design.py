@@ -68,8 +68,9 @@ normal, z along the finger), so that the parts fit together:
   skeleton     fins, ribs and tip, one closed body
   base_plate   printed separately, because it is stiffer; --one-piece joins it to the skeleton (skeleton_and_base)
   backing      plate on the back fin, where the design has one
-  mould        tray in which the pad is cast with its coat down; the tray is open where the inner face will be, and
-               its rim carries the film's flange. The walls are upright, without an allowance for shrinkage
+  mould        tray in which the pad is cast with its coat down; open where
+               the inner face will be. The flange of the film that closes it
+               lies on the rim. Walls are upright, without shrinkage allowance
 
 STL is for slicers. STEP (AP214) is for CAD programs: it holds planes, and the exact cylinder or ellipsoid on the bottom
 of the mould; curved fins are approximated by strips of 1 mm, within 0.3 um of their curve."""
@@ -79,9 +80,8 @@ PAINTS_DESCRIPTION = """\
 Rank every pair of paints, one on each wall, by the expected error of the normal that the finger would sense, before
 anything is moulded. The error is that of a map from colour to normal at places of the pad that it has not seen,
 with the noise of the camera ('held-out normal error' of 'finray simulate sweep --objectives all'), at the light angle
-of the design. The uncertainty of the emission comes from the posterior draws of each calibration; all pairs share
-paths, noise and draws, and the last column says which differences to the best pair are real, all pairs together at 95
-%.
+of the design. The uncertainty of the emission comes from the posterior draws of each calibration. All pairs share
+paths, noise and draws. The last column says which pairs differ from the best one, at 95 % for all pairs together.
 
 Light is traced once for all pairs; another pair costs a second. The intervals leave out the camera's response where it
 is assumed, the reflectance of the paints, and how far the simulation is from a real finger, which all pairs share."""
@@ -161,7 +161,7 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--lining-mm",
         type=float,
         metavar="MM",
-        help="sheet laid on the mould's bottom for a smooth pad (default: 0.1, the paper's Mylar; 0 if ellipsoidal)",
+        help="thickness of the sheet on the mould's floor (default: 0.1, the paper's Mylar; 0 for an ellipsoidal pad)",
     )
     export.set_defaults(run=run_export)
 
@@ -265,7 +265,7 @@ def _choose_filters(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFi
             f"  {band.center_nm:5g} nm, {band.fwhm_nm:g} nm wide"
             + ("  (of the rig)" if band.name in found.kept else "")
         )
-    say(f"  screening: expected error {found.screened_rel:.3f}, the rig's own filters {found.screened_rig_rel:.3f}")
+    say(f"  screening: expected error {found.screened_rel:.3f}, with the rig's filters {found.screened_rig_rel:.3f}")
     for name, ratio in (("median", found.median_ratio), ("mean", found.mean_ratio)):
         if len(found.errors):
             say(
@@ -485,9 +485,9 @@ def _paint_table(choice: "PaintChoice") -> list[str]:
 LIGHTS_HELP = "powers of the lights for an even coat; a map over the angle and the place of a light"
 LIGHTS_DESCRIPTION = """\
 Find the powers of the lights by which the coat of a finger or classic sensor is lit most evenly, without and with
-contact. The light of all sources adds up, so each is traced only once. The most even powers are the solution of a
-convex problem, so that no other allowed powers are more even. The answer states how certain they are, how bright the
-coat is then, and, of a finger, how the expected error of the sensed normal changes.
+contact. The light of all sources adds up, so each is traced only once. The powers found are the solution of a convex
+problem, so that no other allowed powers light the coat more evenly. The answer states the uncertainty of the powers,
+how bright the coat is then, and, for a finger, how the expected error of the sensed normal changes.
 
 Each power stays within --range times its present value, and all lights together emit at most --total times
 as much light as now.
@@ -496,8 +496,8 @@ as much light as now.
 
   --map light.angle_deg=0:75:15 --map "light.position_mm[y]=-14:-6:2"
 
-It takes some ten seconds of processor time for each light of a finger, three for each finger of a map, minutes for a
-classic sensor. Writes a record, its page, and the design with the new powers."""
+It takes some ten seconds of processor time for each light of a finger, three for each point of a map, and minutes for
+a classic sensor. Writes a record, its page, and the design with the new powers."""
 LIGHTS_EPILOG = """\
 examples:
   finray design lights digit
@@ -522,7 +522,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=path_count, metavar="N",
-        help="paths of a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
+        help="light paths in a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
     )  # fmt: skip
     add_paint(lights)
     add_paints_as_given(lights)

@@ -60,9 +60,9 @@ Change the numbers of a finger within limits, and find the design that is best b
   twist-stiffness    stiffness against a turn of the tip
 
 A third of the evaluations (or --screen of them) screens the limits (Sobol' points); an emulator proposes the others one
-by one. The design of the best expected value is recommended, and compared with the start and with the best of the
-screening by other seeds and contact places, which the search has not seen. With several objectives (--and) the page
-shows the front: the best compromises, and which differences are real; 1 % of one then counts as 1 % of another.
+by one. The design of the best expected value is recommended. It is compared with the start and with the best design of
+the screening, with random seeds and at contact places that the search has not used. With several objectives (--and) 1 %
+of one counts as 1 % of another, and the page shows the front: the best compromises, and which differences are real.
 
 Each evaluation is stored as soon as it is finished: the same command continues where it was interrupted. Writes into
 the folder: evaluations/, the recommended finger (TOML), optimum.json and optimum.html. Where the powers of the panels
@@ -86,10 +86,11 @@ variance (Sobol' indices). It is the same error that 'finray decide' decides on.
 other paths, paint draws and noise.
 
 What varies: what a person mounts, casts or mixes (angle and place of the light, pose of the camera, bow of the mirror,
-thickness of the pad, yield of the paints), the emission of the paints by their calibrations, and every number of the
-design with an uncertainty_rel that light depends on. Half-ranges that you do not give are assumed; the page says so.
---vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. A place has its axis
-last.
+thickness of the pad, yield of the paints), the emission of the paints (within its calibrated uncertainty), and every
+number of the design with an uncertainty_rel that light depends on. Half-ranges that you do not give are assumed; the
+page says so.
+--vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. For a place, FIELD ends
+with the axis, as in camera.position_mm.z.
 
 By default each finger is calibrated as it was built. With --calibration shared all take the calibration of the finger
 as drawn, which shows how well one calibration works for other fingers of the same drawing."""
@@ -104,10 +105,10 @@ ASSESS_HELP = "light angle, tolerances and stiffness of a finger, also one with 
 ASSESS_DESCRIPTION = """\
 Find what a designer needs to know first about a finger:
 
-  light angle  the decision by the error of the sensed normal at six places along the pad, with the brightness around
-               contacts at five places beside it
-  tolerances   of the finger with that light, over contacts of their own along the pad: how far it may vary before
-               the error has grown by a tenth
+  light angle  the decision by the error of the sensed normal at six places
+               along the pad, and the brightness around five contacts
+  tolerances   how far the finger with that light may vary before the error
+               has grown by a tenth, for contacts along the pad
   stiffness    against forces at tip and pad and a twist, also with each assumed dimension changed by 20 %
 
 --pad gives the pad another size: mirror and camera follow it, panels, tip and backing move with its length.
@@ -169,7 +170,7 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     search.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     search.add_argument("--for", dest="first", required=True, metavar="OBJECTIVE", help="the first objective")
     search.add_argument("--and", dest="further", action="append", default=[], metavar="OBJECTIVE",
-                        help="a further one (repeatable)")  # fmt: skip
+                        help="a further objective (repeatable)")  # fmt: skip
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
         help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
@@ -178,9 +179,9 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     search.add_argument("--evaluations", type=whole_number(1, _MOST_EVALUATIONS), default=60, metavar="N",
                         help="designs to compute (default: 60)")  # fmt: skip
     search.add_argument("--screen", type=whole_number(1, _MOST_EVALUATIONS), metavar="N",
-                        help="how many of them screen the limits, without an emulator (default: a third)")  # fmt: skip
+                        help="evaluations that screen the limits, without the emulator (default: a third)")  # fmt: skip
     search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
-                        help="other seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
+                        help="new seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
     add_paint(search)
     add_paints_as_given(search)
     add_engine(search, is_scalar_enough=False)

@@ -167,7 +167,7 @@ def run_taxim(arguments: argparse.Namespace) -> None:
     wrote(out, f"Taxim calibration folder of {table.presses} presses, {presses.mm_per_px:.4g} mm per px")
     give(kind="taxim", format="taxim", presses=table.presses, mm_per_px=presses.mm_per_px, explained_rel=median)
     say(f"  {presses.label}")
-    say(f"  explains {median:.3f} [{least:.3f}, {most:.3f}] of the contact's change on presses it has not seen")
+    say(f"  explains {median:.3f} [{least:.3f}, {most:.3f}] of the change by contact, on presses not used for it")
     say(f"  slopes up to {table.steepest_deg:.0f} deg; shadows beside a contact are not exported")
 
 
@@ -395,16 +395,17 @@ Formats that hold no uncertainty say so in their header.
 Decks (mm, N, MPa) hold mesh, materials, contact and push, and say in their header what is assumed. 'finray simulate
 press DESIGN --engine calculix' runs CalculiX on such a deck and reads its results.
 
-Taxim: ball presses all over a classic sensor (TOML), or with --paint a finger, are rendered, and the folder written
-from which Taxim's programs render. The folder describes colour by slope and place only: the command reports how well it
-explains unseen presses.
+Taxim: the command renders ball presses all over a classic sensor (TOML) or, with --paint, a finger, and writes the
+folder from which Taxim's programs render. The folder describes colour by slope and place only; the command reports how
+much of the change in presses not used for it the folder explains.
 
 A capture request states which captures of a finger a lab should take: a page, and plans for 'finray capture'.
 
-A protocol is for any tactile sensor: a sheet to print, a table of presses, and twelve solids to print (STL) that are
-pressed beside balls, in about an hour.
+A protocol is for any tactile sensor: a sheet to print, a table of presses, and twelve solids to print (STL). The solids
+and some balls are pressed into the sensor, which takes about an hour.
 
-Captures: a folder that 'finray import captures' wrote becomes one zip archive, which every verb takes in its place.
+Captures: a folder that 'finray import captures' wrote becomes one zip archive, which the other commands read like the
+folder.
 
 The frames of a capture session, bit for bit, with exposure, time, filter, light and Bayer pattern: ome-tiff for image
 viewers, nexus (HDF5) and bluesky (documents as JSON lines, with the frames in a NeXus file beside) for beamline tools.

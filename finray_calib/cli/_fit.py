@@ -147,8 +147,8 @@ def run(arguments: argparse.Namespace) -> None:
         give(paint_name=paint.paint_name, emission_found=False, energy_yield_limit=paint.detection.yield_limit)
         say(f"  {paint.detection.statement}")
         say(
-            "  check that this is the fluorescent sample and that the laser was on; --report PAGE shows it "
-            "beside a blank"
+            "  check that this is the fluorescent sample and that the laser was on; --report PAGE shows its "
+            "signals beside those of a sample without emission"
         )
     else:
         _say_result(paint, out, budget)

@@ -50,7 +50,7 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_captures_format(formats)
     dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
     dtact.add_argument(
-        "--predict-from", type=Path, metavar="FOLDER", help="other sensor whose table makes a prediction"
+        "--predict-from", type=Path, metavar="FOLDER", help="another sensor, whose depth table predicts the press"
     )
     pi = _add_format(formats, "raspberry-pi", "images of one press, taken with rpicam-still", RASPBERRY_PI)
     pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
@@ -396,14 +396,15 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
 
 DESCRIPTION = """\
 Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files are the
-presses, where the image without contact is, which columns hold the contact, the scale and the ball: one that comes with
-finray, by its name (--list shows them), or a file of your own. Videos give contact, no contact and its repeat; contact
-circles that the set does not state are searched for. OUT gets a capture of each press, a picture of all contacts to
-check (contacts.png), and circles.csv: correct it and give it with --circles.
+presses, where the image without contact is, and which columns hold the contact, the scale and the ball. Give the name
+of a recipe that comes with finray (--list shows the names) or a file of your own. From a video the images with contact,
+without contact, and its repeat are taken. Contact circles that the set does not state are searched for. OUT gets a
+capture of each press, a picture of all contacts to check (contacts.png), and circles.csv. If a circle is wrong, correct
+circles.csv and import again with --circles.
 
-With --predict-from N, presses spread over the set train a table, and what it predicts of each other press is stored
-beside its capture: 'finray compare OUT OUT' then scores these as a yardstick for simulators. Files with pickled objects
-are never opened."""
+With --predict-from N, N presses spread over the set train a look-up table. What the table predicts of each other press
+is stored beside its capture, and 'finray compare OUT OUT' then scores these predictions as a yardstick for simulators.
+Files with pickled objects are never opened."""
 CAPTURE, PRESS = ".capture.json", ".press.json"
 CONTACTS, CIRCLES, SOLID = "contacts.png", "circles.csv", ".indenter.stl"
 
@@ -424,13 +425,13 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
              "radius_px",
     )  # fmt: skip
     parser.add_argument(
-        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball, replaces that of the recipe"
+        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball; replaces the recipe's"
     )
     parser.add_argument(
-        "--mm-per-px", type=float, metavar="S", help="mm per pixel, replaces that of the recipe; not px per mm"
+        "--mm-per-px", type=float, metavar="S", help="scale in mm per pixel, not px per mm; replaces the recipe's"
     )
     parser.add_argument(
-        "--predict-from", type=int, metavar="N", help="train a table on N presses and predict the others"
+        "--predict-from", type=int, metavar="N", help="train a look-up table on N presses and predict the others"
     )
     add_out(parser, "FOLDER.captures, a folder with NAME.capture.json")
     parser.set_defaults(run=run_captures)

@@ -58,7 +58,9 @@ def run(arguments: argparse.Namespace) -> None:
         raise RadiometryError("--whole-frame: extends the map of --pixels to the whole frame; give --pixels too")
     if session_kind(arguments.session) == "paint":
         if arguments.report is not None:
-            raise RadiometryError(f"{arguments.session}: is a paint session; --report is for camera sessions")
+            raise RadiometryError(
+                f"{arguments.session}: is a paint session; --report is for camera sessions, leave it out"
+            )
         reduce_paint(
             arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame,
             arguments.accept_repeat,

@@ -59,7 +59,7 @@ SHOW_HELP = "show what each device of a rig reports"
 SHOW_DESCRIPTION = """\
 Open each device of a rig on its own and print what it is, the position of the wheel, whether the lights are off, what
 switches them off when a process or the computer fails, one dark exposure of the camera, and the filters. Nothing moves
-and the lights stay off. A device that cannot be reached does not hide the others; the exit status is 2 then."""
+and the lights stay off. If a device cannot be reached, the others are still shown, and the exit status is 2."""
 
 
 CALIBRATE_HELP = "calibrate the load cell of a rig with known masses"
@@ -499,7 +499,7 @@ def _run_session(arguments: argparse.Namespace) -> None:
 
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
-            raise CaptureError("--resume takes plan, rig and folder from the session; leave out the others")
+            raise CaptureError("--resume takes plan, rig and folder from the session; leave out --plan, --rig, --out")
         with interruptible(arguments.resume):
             resume(arguments.resume, arguments.like, attend)
         return

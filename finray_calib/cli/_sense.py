@@ -52,7 +52,7 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = jobs.add_parser("scale", help=PIXEL_SCALE_HELP, description=PIXEL_SCALE_DESCRIPTION)
     parser.add_argument(
         "lens", type=Path, nargs="+", metavar="PICTURE",
-        help="the board turned and tilted; or the folder of one tactile session, whose plan has the board on_pad",
+        help="pictures of the board turned and tilted; or one tactile session, whose plan has [board] on_pad = true",
     )  # fmt: skip
     parser.add_argument("--pad", type=Path, metavar="PICTURE", help="picture of the board where the pad's coat is")
     parser.add_argument(
@@ -190,14 +190,14 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
     if not (folder / "session.json").exists():
         raise CompareError(
             f"{folder}: holds no tactile session (session.json); give the folder that 'finray capture' wrote, or "
-            "pictures of the board, the one of the board on the pad with --pad"
+            "pictures of the board, and with --pad the picture of the board on the pad"
         )
     session = read_record(folder / "session.json", TactileSession)
     board = session.plan.board
     if board is None or not board.on_pad:
         raise CompareError(
             f"{folder}: its plan does not state that the first picture shows the board on the pad ([board], "
-            "on_pad = true); give the pictures by name, the one of the board on the pad with --pad"
+            "on_pad = true); give the pictures by name, and with --pad the picture of the board on the pad"
         )
     chosen: list[Path] = []
     for place in range(1, board.images + 1):
@@ -211,7 +211,7 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
         elif place == 1:
             raise CompareError(
                 f"{folder}: holds no picture of the board on the pad (was the session interrupted?): "
-                "capture it again, or give the pictures by name, the one of the board on the pad with --pad"
+                "capture it again, or give the pictures by name, and with --pad the picture of the board on the pad"
             )
     return board, chosen[0], chosen[1:]
 
@@ -268,8 +268,8 @@ def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, 
         )
     if not (isfinite(behind_mm) and abs(behind_mm) <= 100.0 and 0.0 <= behind_u_mm <= 100.0):
         raise CompareError(
-            f"--coat-behind-mm {behind_mm:g}, --coat-behind-u-mm {behind_u_mm:g}: must be -100 to 100 mm, and 0 to "
-            "100 mm"
+            f"--coat-behind-mm {behind_mm:g}, --coat-behind-u-mm {behind_u_mm:g}: the first must be -100 to 100 mm, "
+            "the second 0 to 100 mm"
         )
     return u_mm / square_mm, behind_mm, behind_u_mm
 
@@ -404,8 +404,8 @@ RUN_HELP = "sense a press: depth, normals and contact, with uncertainty, a pictu
 RUN_DESCRIPTION = """\
 Sense depth, normals and contact of a capture by a map that 'finray sense teach' wrote. Writes the record, and beside it
 a picture (FILE.png) and the surface of the gel as a mesh (FILE.stl, mm). The uncertainty is that of
-presses that the map was not trained on. The command warns when it was trained on this press, because the result then
-proves nothing."""
+presses that the map was not trained on. The command warns when the map was trained on this press, because the result
+then proves nothing."""
 
 
 def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -415,7 +415,7 @@ def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
     parser.add_argument(
         "--contact-depth-mm", type=float, metavar="MM",
-        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 u)",
+        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 sd)",
     )  # fmt: skip
     add_out(parser, "CAPTURE.sensed.json")
     parser.set_defaults(run=run_sense)

@@ -58,8 +58,8 @@ Render the contact and no-contact image of a finger with calibrated paints. With
 a formula; with SURFACES, which 'finray simulate press' wrote, the finger has the deformed shape that they hold.
 
 Levels: b (default) the walls re-emit the blue light that reaches them; a the paper's emitter, textured by the
-distance from the light (linear as printed, or inverse square; no angle dependence: for comparison only); c the
-reference, fluorescence traced along every path: the mean of b without its smoothing, much noisier.
+distance from the light (linear as the paper prints it, or inverse square; no angle dependence: for comparison only); c
+the reference: fluorescence traced along every path, without the smoothing of b and much noisier.
 
 A DESIGN of kind = "sensor" ('finray design init gelsight-flat' writes one) is rendered as a classic sensor: coloured
 lights, no paints. Its indenter (a ball, cylinder, cuboid or mesh) is pressed into its coat, or the coat comes from a
@@ -151,11 +151,11 @@ def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     import numpy as np
 
     wrote(out, taught.label)
-    wrote(kept, "the presses that it was trained on; the same command with more --presses continues with them")
+    wrote(kept, "presses that trained the surrogate; the same command with more --presses continues with them")
     errors = {"surface": taught.left_out_surface_rel, "force": taught.left_out_force_rel}
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
-        share = f"{100 * taught.level_share:.0f} % of them one of up to {100 * most:.2f} %"
+        share = f"{100 * taught.level_share:.0f} % of them up to {100 * most:.2f} %"
         say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
     if taught.crossed_features is not None:
         say(
@@ -239,8 +239,9 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
             ),
     )  # fmt: skip
     parser.add_argument(
-        "--samples", type=path_count, default=4000, metavar="N", help="paths per probe, an even number (default: 4000)"
-    )
+        "--samples", type=path_count, default=4000, metavar="N",
+        help="light paths to each probe, an even number (default: 4000)",
+    )  # fmt: skip
     add_out(parser, "NAME.sweep.json")
     add_seed(parser)
     parser.set_defaults(run=run_sweep, long_work=_long_sweep)
@@ -592,9 +593,9 @@ RECOLOUR_HELP = "show a rendered press with other paints, camera or white balanc
 RECOLOUR_DESCRIPTION = """\
 Recompute the images of a press that 'finray simulate render' has made, for paints of another yield, absorption at the
 LED or emission shape, for another camera, or with another white balance. Nothing is rendered: the press stores the
-light of each chain of fluorescence separately. The command refuses what needs a new render: after a change of a paint's
-reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or when the light that one paint excites
-in another grows three times."""
+light of each chain of fluorescence separately. The command refuses changes that need a new render: of a paint's
+reflectance by more than 0.01 in a band, of a band's place by more than 10 nm, or such that the light that one paint
+excites in another grows to three times as much."""
 
 
 def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -414,8 +414,9 @@ def _tell(mechanics: "PressMechanics", files: dict[str, Path]) -> None:
             say(f"  push {depth:6.3f} mm   force {force[1]:7.3f} N")
     if mechanics.slip_torque_per_friction_n_mm is not None:
         say(
-            f"  torque that the grip resists: {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the friction "
-            f"coefficient about the pad's normal; {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's long axis"
+            f"  the grip resists a torque of {mechanics.slip_torque_per_friction_n_mm:.3g} N mm times the friction "
+            f"coefficient about the pad's normal, and {mechanics.tipping_torque_n_mm:.3g} N mm about the finger's long "
+            "axis"
         )
     if mechanics.sensitivities is not None:
         _report_sensitivities(mechanics.sensitivities)
@@ -452,7 +453,7 @@ def _report_bars(mechanics: "PressMechanics", bars: "SurrogateBars") -> None:
         )
     say(
         f"  computed by a surrogate: in {100 * bars.level_share:.0f} % of presses its error bars contain its "
-        f"difference from finite elements; the error of the finite elements comes on top"
+        f"difference from finite elements; the error of the finite elements is not included"
     )
 
 
@@ -463,7 +464,7 @@ def _report_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
         turns_deg=motion.turns_deg, patch_mm2=motion.patch_mm2, stuck_mm2=motion.stuck_mm2,
         friction_work_n_mm=mechanics.friction_work_n_mm,
     )  # fmt: skip
-    say("  force (N) and torque (N mm) about its middle, on the indenter: across x, along the normal y, along z")
+    say("  on the indenter: force (N), and torque (N mm) about its middle; x across, y along the normal, z along")
     rows = zip(
         motion.moves_mm, motion.turns_deg, mechanics.force_n, motion.torque_n_mm, motion.patch_mm2, motion.stuck_mm2,
         strict=True,
@@ -584,7 +585,7 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
     if arguments.largest_error is not None and arguments.surrogate is None:
         raise SimulateError("--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out")
     if calculix and arguments.contact != "auto":
-        raise SimulateError("--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix")
+        raise SimulateError("--contact: CalculiX has its own contact method; leave out --contact or --engine calculix")
     if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
         raise SimulateError(
             "--force presses from first touch with penalty contact and finray's own elements; leave out --force, or "

@@ -57,8 +57,8 @@ and by the model of 'finray fit' with its 95 % band. Writes a record and a figur
 PAPER_PAINTS_EPILOG = """\
 The materials are re-radiation (Donaldson) matrices as CSV: first column emission_nm, then one column for each
 excitation wavelength in nm, values as radiance factor in the emission band; lines that start with # are comments.
-Excitations from 380 to 450 nm and emission from 470 to 780 nm are needed. Open ones (BSD-3-Clause): the Post-it notes
-of github.com/afichet/spectral-exr, the inks and textiles of github.com/afichet/fluorescence-rgb.
+Excitations from 380 to 450 nm and emission from 470 to 780 nm are needed. Openly licensed ones (BSD-3-Clause): the
+Post-it notes of github.com/afichet/spectral-exr, the inks and textiles of github.com/afichet/fluorescence-rgb.
 
 example:
   finray study paper-paints --red ink.csv --green textile.csv --out study"""
@@ -357,8 +357,8 @@ STIFFNESS_HELP = "stiffness of fingers in bending and twist, with assumed dimens
 STIFFNESS_DESCRIPTION = """\
 Load fingers without an indenter: a force at the tip (away from the pad, and across), a force under the middle of the
 pad, a twist of the tip; and let them grip a cylinder, for the torque at which it slips. Then change each dimension of
-the skeleton that the design's origin does not list, one at a time, up and down, and say whether the order of the
-fingers stays. Writes a record and a table (CSV)."""
+the skeleton that the design's origin does not list, one at a time, up and down, and say whether the fingers keep their
+order of stiffness. Writes a record and a table (CSV)."""
 STIFFNESS_EPILOG = """\
 examples:
   finray study finger-stiffness flat-70x35 flat-70x35-soft --out stiffness
@@ -433,7 +433,7 @@ def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
     holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
     return (
         f"; with an assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and "
-        f"the order {holds}; with independent changes the ratio is {order.independent_ratio:.3f}"
+        f"the order {holds}; with independent changes the ratio is at least {order.independent_ratio:.3f}"
     )
 
 

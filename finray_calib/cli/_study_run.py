@@ -67,8 +67,8 @@ A plan names its finger, what is set, what varies and what is computed:
   "indenter.depth_mm" = 1.5
 
   [measure]
-  press = "finite elements"   # or "analytic": the pad takes its shape at
-                              # once, without force
+  press = "finite elements"   # or "analytic": the pad takes the indenter's
+                              # shape by a formula, without force
 
   [[vary]]
   field = "light.angle_deg"
@@ -85,8 +85,8 @@ SHOW_HELP = "show the table of a design study"
 COMPARE_HELP = "compare two design studies point by point: which numbers differ by more than the uncertainties of both"
 COMPARE_DESCRIPTION = """\
 Compare the points that two design studies have in common: those that change the same fields to the same values. For
-each number the command gives the difference with 95 % limits, as if the studies were independent. The word "differs"
-has 95 % probability for all numbers together. Two studies with the same seed share part of their noise, so that more
+each number the command gives the difference with 95 % limits, as if the studies were independent. It says "differs"
+at 95 % confidence for all numbers together. Two studies with the same seed share part of their noise, so that more
 numbers may differ than the command reports."""
 DATASET_HELP = "make a data set for learning: random presses of a finger, rendered, with depth, normals and labels"
 DATASET_DESCRIPTION = """\
@@ -343,7 +343,7 @@ def _paint_draws(arguments: argparse.Namespace) -> "tuple[dict[str, PaintDraws],
 
 _DATASET_NOTES = (
     "no camera: no shot or read noise, no defocus, no lens distortion except that of the design; the render's own "
-    "noise is in render_noise_rel. Where nothing moves it is the same without and with contact, so the difference of "
+    "noise is in render_noise_rel. Where nothing moves, this noise is the same in both pictures, so the difference of "
     "the two pictures has less noise than that of two camera pictures: add the noise of your camera while training",
     "no error of the model: materials, dimensions and the camera's response are those of the design in every sample, "
     "and a network trained here has not seen a real finger",
@@ -533,9 +533,9 @@ def compare_studies(arguments: argparse.Namespace) -> None:
     differences = study_differences(first, second)
     if not differences:
         raise RecordError(
-            f"{arguments.first}, {arguments.second}: the two studies share no number of any point; they "
-            f"change {', '.join(first.varied)}, and {', '.join(second.varied)}. Give two studies whose plans "
-            "share points"
+            f"{arguments.first}, {arguments.second}: the two studies share no number of any point; the first "
+            f"changes {', '.join(first.varied)}, the second {', '.join(second.varied)}. Give two studies whose "
+            "plans share points"
         )
     alone = {
         name: [row.changes for row in study.points if row.changes not in [other.changes for other in beside.points]]

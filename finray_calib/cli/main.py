@@ -220,7 +220,7 @@ def _with_a_guess(message: str) -> str:
     """Return the message of a wrong choice with the choice that was probably meant, and of a wrong number in words."""
     message = re.sub(r"invalid int value: ('[^']*')", r"\1 must be a whole number", message)
     message = re.sub(r"invalid float value: ('[^']*')", r"\1 must be a number, with a decimal point", message)
-    follows = r"\1: a value must follow it; one that begins with '-' is joined by '=': \1=-VALUE"
+    follows = r"\1: a value must follow it; if the value begins with '-', type \1=-VALUE"
     message = re.sub(r"argument (\S+): expected one argument", follows, message)
     message = message.replace("--angles=-VALUE", "--angles=-60:100:10")
     wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)

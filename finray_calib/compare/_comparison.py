@@ -325,7 +325,7 @@ def prepare_comparison(
         If no region is given, shapes differ, or contact changes nothing in a region.
     """
     if not regions:
-        raise CompareError("no region to compare: give at least the contact region and one that holds its halo")
+        raise CompareError("no region to compare: give the contact region, and a wider one around it")
     images = [captured.contact, captured.no_contact, *([] if captured.repeat is None else [captured.repeat])]
     used = tuple(
         usable_pixels(region.mask, layers.contact[..., :1].astype(np.float64), *(i[..., :1] for i in images))

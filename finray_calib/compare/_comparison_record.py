@@ -497,9 +497,9 @@ def withheld(
 
 
 _CURVE_CANNOT_KNOW = (
-    "the tone curve was fitted to the images without contact alone. Not known, and not in any interval: a gain "
-    "common to both captured images, which the ratio form takes out; which part of the exponent is an error of the "
-    "render's contrast; and any shape of the curve but a power with an offset"
+    "the tone curve was fitted to the images without contact alone. Three things are not known and not in any "
+    "interval: a gain common to both captured images (it cancels in their ratio), the part of the exponent that is "
+    "an error of the render's contrast, and any shape of the curve other than a power with an offset"
 )
 
 

@@ -189,7 +189,7 @@ def _order_findings(scene: _Scene, name: str) -> list[Finding]:
                 Finding(
                     "refuse" if better.clear else "warn",
                     "channel order",
-                    f"the contact image of {name} matches its own no-contact image as {better}: store both "
+                    f"the contact image of {name} matches its own no-contact image when read as {better}: store both "
                     "images with their channels and rows in the same order",
                 )
             )
@@ -199,8 +199,8 @@ def _order_findings(scene: _Scene, name: str) -> list[Finding]:
             Finding(
                 "refuse" if better.clear else "warn",
                 "channel order",
-                f"the no-contact image of {name} fits the render as {better}: check the channel order of the capture "
-                "(OpenCV's is BGR), its Bayer pattern, and that no two paints are exchanged",
+                f"the no-contact image of {name} fits the render when read as {better}: check the channel order of "
+                "the capture (OpenCV's is BGR), its Bayer pattern, and that no two paints are exchanged",
             )
         )
     return findings

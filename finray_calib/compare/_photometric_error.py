@@ -601,11 +601,11 @@ def _origins(inputs: Inputs, capture: TactileCapture) -> dict[str, tuple[Evaluat
     if inputs.drift is not None:
         scale, freedom = inputs.drift
         origin = (
-            f"{100 * scale:.2f} %, from the repeat of the no-contact image"
+            f"{100 * scale:.2f} %, from the repeat of the no-contact image and from"
             if freedom > 3
-            else f"{100 * PRIOR_DRIFT_REL:.1f} %"
+            else f"{100 * PRIOR_DRIFT_REL:.1f} %, from"
         )
-        found[DRIFT] = ("A" if freedom > 3 else "B", f"{origin} and what real sensors show")
+        found[DRIFT] = ("A" if freedom > 3 else "B", f"{origin} what real sensors show")
     found[PIXELS] = ("A", "difference of both no-contact images at pixel scale, and of the render's halves")
     return found
 

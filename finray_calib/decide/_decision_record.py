@@ -393,11 +393,12 @@ def _note_on_error(captures: CaptureErrors) -> str:
         return (
             f"no capture shows how far the finger differs from the simulation. Until one does, {_ERROR_CURVE}. The "
             f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities are means over such errors. "
-            "For a finger with only one kind of error they are mostly too low, which only captures can show"
+            "For a finger with only one kind of error the probabilities are mostly too low, which only captures can "
+            "show"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen. "
-        "It is assumed that such captures reveal, with a probability of 1/2, almost nothing of it and "
+        "Such captures are assumed to show, with a probability of 1/2, almost none of the simulation's error and "
         "otherwise any share of it, so they never decide alone"
         if captures.scale_of is None
         else "by exposure and LED current, up to one unknown scale for each rig"

@@ -449,11 +449,11 @@ def light_powers(
 
 _NOTES: Final = (
     "the powers minimise the relative variation of the brightness, without and with contact, where all lights are on "
-    "at once; this problem is convex, so no other allowed powers are more even on this basis",
-    "the powers that give the most information on the normal under shot noise were not sought; they are a convex "
-    "problem only where the lights are on in turn, each with an exposure of its own",
+    "at once; this problem is convex, so no other allowed powers light the coat more evenly in this computation",
+    "the powers that give the most information on the normal under shot noise were not sought; finding them is a "
+    "convex problem only where the lights are switched on in turn, each with an exposure of its own",
     "intervals include the noise of the render and, for a finger, the draws of its paints; they include neither the "
-    "differences between the LEDs of a batch nor that between the simulation and the real sensor",
+    "differences between the LEDs of a batch nor the difference between the simulation and the real sensor",
     "power_rel is a factor of radiance, and the light of an LED is not proportional to its current; adjust "
     "the current until a picture shows that factor",
 )

@@ -210,7 +210,8 @@ def _is_complete(out: Path, product: Product, missing: set[str]) -> bool:
     for needed in product.inputs:
         if needed in missing or made_from.get(needed) != sha256_of(out / needed):
             raise RecordError(
-                f"{path}: was made from another {needed} than the one that exists; move it away to have it made again"
+                f"{path}: was made from another {needed} than the present one; move {path.name} away to have it made "
+                "again"
             )
     if product.is_session:
         _require_complete(path.parent)

@@ -83,8 +83,8 @@ class RecipeNoContact(Model):
 
     file: Pattern | None = Field(
         default=None,
-        description="path within the folder; holds {press} where each press has a file of its own, {group} where the "
-        "presses of a folder share one: the folders in the name of the press, ball of ball/3",
+        description="path within the folder; contains {press} if each press has its own file, or {group} if the "
+        "presses of a folder share one file ({group} is the folder part of a press's name, such as ball in ball/3)",
     )
     repeat_file: Pattern | None = Field(default=None, description="a second image without contact")
     frames_before: Annotated[int, Field(ge=2, le=1000)] | None = Field(
@@ -153,7 +153,7 @@ class RecipeScale(Model):
     px_per_mm: Positive | None = None
     check_length_mm: Positive | None = None
     check_length_px: Quantity | None = Field(
-        default=None, description="the same length, measured in pixels in the labels or pictures"
+        default=None, description="the length check_length_mm in pixels, in the labels or pictures"
     )
 
     @model_validator(mode="after")
@@ -191,13 +191,13 @@ class RecipeIndenter(Model):
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
     columns_in: LengthUnit | dict[_Size, LengthUnit] = Field(
         default="mm",
-        description="unit of the columns and arrays that hold diameter, depth and position; where it is not the same "
-        'for all of them, that of each: { depth_mm = "m" }',
+        description="unit of the columns and arrays that hold diameter, depth and position; if their units differ, "
+        'the unit of each: { depth_mm = "m" }',
     )
     extruded_mm: Positive | None = Field(
         default=None,
-        description="height of a straight solid over the hull of the contact's outline, which is written as STL beside "
-        "each capture, for the indenter of a design; its origin is the middle of the picture",
+        description="height of the solid that is extruded from the hull of the contact's outline and written as STL "
+        "beside each capture, as the indenter of a design; its origin is the middle of the picture",
     )
 
     @model_validator(mode="after")
@@ -207,7 +207,7 @@ class RecipeIndenter(Model):
                 raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
         columns = [name for name in _SIZES if isinstance(getattr(self, name), str)]
         if self.columns_in != "mm" and not columns:
-            raise ValueError("columns_in belongs to columns, and the indenter names none; give its numbers in mm")
+            raise ValueError("columns_in is the unit of columns, but [indenter] names none; leave it out, give mm")
         for name in self.columns_in if isinstance(self.columns_in, dict) else ():
             if name not in columns:
                 raise ValueError(
@@ -234,7 +234,7 @@ class RecipeForce(Model):
 
     file: Pattern = Field(description="path within the folder; for pictures, a table, or an npz or JSON file for each")
     press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
-    column: str | None = Field(default=None, description="column or array that holds the force; none for an npy file")
+    column: str | None = Field(default=None, description="column or array that holds the force; leave out for npy")
     factor: float = Field(default=1.0, description="newtons per unit of the file")
 
 
@@ -371,7 +371,7 @@ class LabelTable:
         for table, keys in ((self.by_path, paths), (self.by_last, sole), (self.by_last, last_parts)):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
-                raise LeftOutError("several lines of the table name it, and they differ")
+                raise LeftOutError("several lines of the table name this press, with different values")
             if rows and keys is not last_parts:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None
@@ -455,7 +455,7 @@ def _json_number(path: Path, name: str, at: int | None) -> float:
         raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)) or 'nothing'}")
     values = found[name] if found[name] and isinstance(found[name], list) else [found[name]]
     if (at is None and len(values) != 1) or (at or 0) >= len(values):
-        raise ImportFormatError(f"{path}: '{name}' must be one number, or name[k] an entry; it holds {len(values)}")
+        raise ImportFormatError(f"{path}: '{name}' holds {len(values)} numbers; name one, such as {name}[0]")
     number = values[at or 0]
     if isinstance(number, bool) or not isinstance(number, (int, float)) or not np.isfinite(float(number)):
         raise LeftOutError(f"its '{name}' is not a finite number")
@@ -504,13 +504,13 @@ def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
             if match[1] in found:
                 raise ImportFormatError(
                     f"{found[match[1]]} and {path.relative_to(folder)} are both press '{match[1]}' by presses.files "
-                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or put what differs into {PRESS}"
+                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or let {PRESS} cover what differs"
                 )
             found[match[1]] = path
     if not found:
         raise ImportFormatError(
             f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({pattern}); give the folder "
-            f"above, or correct presses.files, where upper and lower case differ{_seen(folder)}"
+            f"above, or correct presses.files (upper and lower case count){_seen(folder)}"
         )
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:

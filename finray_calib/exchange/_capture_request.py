@@ -207,7 +207,7 @@ def _head(design: FingerDesign, design_file: str, asked: IndenterPresses, view: 
 kind = "tactile"
 name = {_text(name)}
 design = {_text(design_file)}
-bracket_powers = [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]         # powers of two of 1 us that the camera allows
+bracket_powers = [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]         # exposures 2^n us: first and last n
 no_contact_images = {NO_CONTACT_IMAGES}            # before and after each press
 repeats = {REPEATS}                      # of each press; the indenter is retracted between them
 led_current_ma = {_LED_CURRENT_MA:.1f}            # MEASURE

@@ -476,7 +476,9 @@ class _Folder:
         if source is None:
             return None
         if source.column is None:
-            raise ImportFormatError(f"recipe '{self.recipe.name}', force.column: missing; name what holds the force")
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}', force.column: missing; name the key that holds the force"
+            )
         return self._quantity(name, source.file, source.press, source.column) * source.factor
 
     def _pose(self, name: str) -> IndenterPose:
@@ -534,7 +536,7 @@ class _Folder:
             return placed
         places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
         if places is None:
-            raise LeftOutError("the recipe gives no outline for it")
+            raise LeftOutError("the recipe gives no outline for this press")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
 
@@ -556,8 +558,8 @@ class _Folder:
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:
             raise LeftOutError(
-                f"a contact circle of {circle.radius_px:g} px radius is larger than the ball's {ball_px:.4g} px; is "
-                "the scale mm per px and not px per mm, and the ball's size its diameter?"
+                f"a contact circle of {circle.radius_px:g} px radius is larger than the ball's {ball_px:.4g} px; check "
+                "that the scale is mm per px, not px per mm, and that the ball's size is its diameter"
             )
         return capture.model_copy(update={"contact_circle": circle, "contact_told_by": by})
 
@@ -584,7 +586,7 @@ class _Folder:
         if isinstance(value, float):
             return value
         if file is None:
-            raise ImportFormatError(f"recipe '{self.recipe.name}': no file is named that holds '{value}'; name it")
+            raise ImportFormatError(f"recipe '{self.recipe.name}': no file is named for '{value}'; add the key file")
         path = named_file(self.folder, file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
@@ -603,7 +605,7 @@ class _Folder:
         self._made_of.add(path)
         row = table.row(name, self.files[name].relative_to(self.folder), self._last_parts[name])
         if row is None:
-            raise LeftOutError(f"no line of {path.name} names it")
+            raise LeftOutError(f"no line of {path.name} names this press")
         if value not in row:
             raise ImportFormatError(
                 f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"

@@ -512,7 +512,7 @@ def _conversion(path: Path) -> str:
     """Say how pictures of another kind, or a stack of them, become files that are read, one for each press."""
     kind = path.suffix.lower()
     if kind in (".png", ".jpg", ".jpeg"):  # a conversion by name would write over the originals
-        return "its content is not that of its name: copy it again from its source"
+        return "its content does not match the ending of its name: copy it again from its source"
     if kind in (".mp4", ".mov", ".mkv", ".webm"):
         return CONVERT_VIDEO
     opened = _OPENED.get(kind)
@@ -601,7 +601,8 @@ def exr_steps(path: Path, full_scale_rel: float) -> NDArray[np.uint16]:
             f"picture.full_scale = {full_scale_rel:g}"
         )
         raise ImportFormatError(
-            f"{path}: {what}; its largest value is {largest:.4g}: give a full scale a little above that of all pictures"
+            f"{path}: {what}; its largest value is {largest:.4g}: give a full scale a little above the largest value "
+            "of all pictures"
         )
     return np.clip(np.rint(image / full_scale_rel * 65535.0), 0.0, 65535.0).astype(np.uint16)
 

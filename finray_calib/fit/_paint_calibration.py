@@ -491,7 +491,8 @@ def fit_warnings(
     below = float(np.median(posterior.share_below_laser))
     if below > LARGEST_SHARE_BELOW_LASER:
         said.append(
-            f"{100 * below:.0f} % of the fitted curve lies below the laser line, where no paint can emit; it was cut"
+            f"{100 * below:.0f} % of the fitted curve lies below the laser line, where no paint can emit; this part "
+            "was cut"
         )
     return tuple(said)
 

@@ -43,7 +43,7 @@ _SESSION_NAME: Final = "session.json"
 """Name of the record of a captured session in the origin of its band signals (of imported images there is none)."""
 DEPARTS_P: Final = 0.001
 TWO_SESSIONS: Final = (
-    "two sessions hardly tell how much sessions scatter, so the interval of the level is several times as wide as that "
+    "two sessions hardly show how much sessions scatter, so the interval of the level is several times as wide as that "
     "of one session alone; a third session narrows it"
 )
 _LEVELS, _FILTERS = np.geomspace(3e-4, 1.0, 28), np.geomspace(3e-4, 0.3, 20)
@@ -177,9 +177,9 @@ def _notes(scatter: SessionScatter) -> tuple[str, ...]:
 
     levels = ", ".join(f"{100 * level:+.1f} %" for level in scatter.session_levels_rel)
     return (
-        f"{len(scatter.session_levels_rel)} sessions combined; the standard deviation between sessions is "
-        f"{percent(scatter.level_rel)} of the level and {percent(scatter.filter_rel)} of a single filter in addition "
-        f"(95 %); levels of the sessions: {levels}",
+        f"{len(scatter.session_levels_rel)} sessions combined; between sessions the level has a standard deviation of "
+        f"{percent(scatter.level_rel)}, and a single filter, in addition, of {percent(scatter.filter_rel)} (95 %); "
+        f"levels of the sessions: {levels}",
         *((TWO_SESSIONS,) if len(scatter.session_levels_rel) == 2 else ()),
         *outlying_session_warnings(scatter),
     )

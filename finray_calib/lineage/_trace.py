@@ -175,7 +175,8 @@ class Tracer:
         except FinrayError as error:
             if not faults:  # else they say it already
                 faults.append(_changed(path, error))
-        notes = [] if "content_sha256" in envelope else ["carries no seal, because an early version wrote it"]
+        no_seal = "carries no seal (a checksum of its content), because an early version wrote it"
+        notes = [] if "content_sha256" in envelope else [no_seal]
         frames = 0
         if kind in SESSION_KINDS and path.name == SESSION_NAME:
             check = verify_session(path.parent)
@@ -250,7 +251,7 @@ class Tracer:
         made = _created(path) if own.kind in KINDS else None
         used = None if consumer is None else _time(consumer.created_utc)
         if made is not None and used is not None and made >= used:
-            text = f"was made again at {made.isoformat()}, after records had been made from it: make those again"
+            text = f"was made again at {made.isoformat()}, after records had been made from it: make the records again"
             return (FileFault(path, "stale", text),)
         return (FileFault(path, "changed", "is not the file that was read: its SHA-256 differs"),)
 

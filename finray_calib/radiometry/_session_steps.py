@@ -369,5 +369,5 @@ def bleaching_note(bleaching: Bleaching) -> str:
         f"{bleaching.dose_span_j:.3g} J"
     )
     if bleaching.resolved:
-        return f"{found}; corrected to the first laser frame"
+        return f"{found}; all bands are corrected to the first laser frame"
     return f"{found}; not significant, so it is not corrected, but counted as an uncertainty common to all bands"

@@ -283,13 +283,13 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
         name = "Relative skill" if batch.relative else "Skill"
         yield KeyNumber(f"{name}, {_simulator(score)}", fixed(skill.estimate, 3), between, *judged)
     if len(_ranked(batch)) < 2:
-        yield KeyNumber("Doing nothing", "0", "the untouched image in its place")
+        yield KeyNumber("Doing nothing", "0", "an image of the untouched pad in place of the simulation")
     compared, total = sum(pair.skill is not None for pair in batch.pairs), len(batch.pairs)
     light = light_of(compared == total, is_bad=compared == 0)
     yield KeyNumber(
         "Compared",
         f"{compared} of {total}",
-        "pairs; the others are named below",
+        "pairs" if compared == total else "pairs; the others are named below",
         light,
         "all" if compared == total else "not all",
     )

@@ -83,7 +83,7 @@ _UNCERTAINTY: Final = (
 _TRANSFER_WORDS: Final = (
     "Temporal variance of a pixel against its mean above the dark mean, for every channel, with the line whose slope "
     "is the system gain.",
-    "Photon transfer. Filled marks: exposures behind the line, up to 70 % of saturation. What to see: these marks "
+    "Photon transfer. Filled marks: exposures used for the line, up to 70 % of saturation. What to see: these marks "
     "lie on the line, and the variance falls where the channel saturates.",
 )
 _SNR_WORDS: Final = (
@@ -94,7 +94,7 @@ _SNR_WORDS: Final = (
 _LINEARITY_WORDS: Final = (
     "Deviation of the signal from a line through exposure, in per cent, for every channel, with the band of the lamp's "
     "repeatability.",
-    "Deviation from linearity, 5 to 95 % of saturation. Grey band: one frame of the lamp repeats within it (one "
+    "Deviation from linearity, 5 to 95 % of saturation. Grey band: how well the light of one frame repeats (one "
     "standard deviation).",
 )
 
@@ -117,7 +117,8 @@ def _findings(camera: CameraCharacterisation) -> tuple[str, ...]:
     """Return what the record does not warn of itself."""
     return tuple(
         f"{c.channel}: the signal departs from a line through exposure by {percent(c.linearity_error_rel.estimate)} on "
-        f"average, more than {percent(LARGEST_LINEARITY_ERROR_REL)}: look for gamma, or use lower counts"
+        f"average, more than {percent(LARGEST_LINEARITY_ERROR_REL)}: switch off any gamma of the camera, or use lower "
+        "counts"
         for c in camera.channels
         if _is_bent(c)
     )
@@ -292,12 +293,12 @@ def _limits(camera: CameraCharacterisation) -> tuple[str, ...]:
         "Quantum efficiency, responsivity, and threshold and saturation in photons are not known: they need a light "
         "source of known irradiance.",
         "The light is the rig's own lamp on the white tile. It is not as even as the standard asks for, so "
-        "the non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these: no "
-        "PRNU includes what changes slowly from row to row or column to column.",
+        "the non-uniformity without high-pass includes lamp, lens and tile. The high-pass removes these, and with them "
+        "all that changes slowly from row to row or column to column: PRNU leaves it out.",
         _of_lines(camera),
         "There are no spectrograms and no counts of defect pixels.",
-        f"One exposure of the lamp repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
-        "with drift). A linearity error below that cannot be seen.",
+        f"The light of one exposure repeats within {percent(camera.light_repeatability_rel)} (one standard deviation, "
+        "with drift). A smaller linearity error cannot be seen.",
         "The exposure times are those that the camera reports: an offset of its shutter shows in the "
         "linearity line, but a proportional error cannot be seen.",
         "The temperature of the sensor was not recorded. Dark current doubles every 6 to 10 degrees, and the numbers "
@@ -314,8 +315,8 @@ def _of_lines(camera: CameraCharacterisation) -> str:
             "radiometry' again on the camera session."
         )
     return (
-        "Rows and columns are those of one channel, so every second one of a Bayer sensor. Their uncertainties are "
-        "those of normally distributed rows and columns of this region."
+        "Rows and columns are those of one channel: every second row and column of a Bayer sensor. Their uncertainties "
+        "assume that rows and columns of this region are normally distributed."
     )
 
 

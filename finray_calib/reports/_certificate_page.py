@@ -292,9 +292,9 @@ def _sessions(paint: PaintCalibration) -> str:
         return f"{percent(of.estimate)} [{percent(of.low95)}, {percent(of.high95)}]"
 
     return (
-        f" {len(scatter.session_levels_rel)} sessions were combined; between them the standard deviation is "
-        f"{told(scatter.level_rel)} of the level and {told(scatter.filter_rel)} of a single filter in addition (95 "
-        f"%), and the uncertainties include it."
+        f" {len(scatter.session_levels_rel)} sessions were combined. Between sessions the level has a standard "
+        f"deviation of {told(scatter.level_rel)}, and a single filter, in addition, of {told(scatter.filter_rel)} (95 "
+        f"%); the uncertainties include both."
     )
 
 

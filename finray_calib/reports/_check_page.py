@@ -65,8 +65,8 @@ def check_report(report: AcceptanceReport) -> str:
     look = [result for verdict in ("FAIL", "ERROR", "UNDECIDED") for result in report.results
             if result.verdict == verdict]  # fmt: skip
     rule = (
-        f"A check passes when value and {GUARD_FACTOR:g} standard uncertainties lie inside its limit, fails when "
-        "they lie outside, and is undecided between (JCGM 106, guard band for 95 %)."
+        f"A check passes when its value is inside the limit by at least {GUARD_FACTOR:g} standard uncertainties, fails "
+        "when it is outside by at least as much, and is undecided between (JCGM 106, guard band for 95 %)."
     )
     notes = () if not report.notes else (Part("Notes", Content(points=report.notes)),)
     return report_html(
@@ -227,7 +227,7 @@ def history_page(history: History, folder: str, reference: int) -> str:
     alarms = sum(len({alarm.place for alarm in one.chart.alarms}) for one in history.watched)
     key_numbers = (
         KeyNumber("Alarms", f"{alarms} in {len(history.watched)} charts",
-                  f"also those that were cleared; reference: the first {reference} sessions",
+                  f"cleared alarms included; reference: the first {reference} sessions",
                   _LIGHTS[history.verdict], history.verdict.lower()),
         KeyNumber("Newest session", newest[:10], newest[11:19]),
         KeyNumber("False alarms", percent(history.false_alarm_share), "share of good sessions, all charts together"),
@@ -275,10 +275,10 @@ def _limits(history: History, reference: int) -> tuple[str, ...]:
         if one.chart.outlier is not None
     ]
     return (
-        f"The limits keep {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, for "
-        f"mean and standard deviation of {reference} sessions. That holds for sessions that are independent and "
-        "normally distributed.",
-        "A fault that the reference already has is not seen, because the first sessions define what is normal.",
+        f"The limits give {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, with "
+        f"mean and standard deviation estimated from {reference} sessions. That holds for sessions that are "
+        "independent and normally distributed.",
+        "A fault that the reference sessions already have is not found, because they define what is normal.",
         "A chart shows that something changed, but not what: lamp, filter and white tile change the same signals.",
         "A change that a chart shows may be too small to matter: compare it with the uncertainty that you state.",
         *outliers,

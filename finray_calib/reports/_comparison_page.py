@@ -151,9 +151,9 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        noise = "its noise is in this number, but not in the simulation's skill"
+        noise = "the noise of the repeat is in this number, but not in the simulation's skill"
         if not words.is_noise_taken_out(report):
-            noise = "its noise is in this number, and in the simulation's skill too"
+            noise = "the camera's noise is in this number, and in the simulation's skill too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
     known = "the camera's noise is not known" if floor is None else "the camera's noise is known"
     numbers = (
@@ -161,7 +161,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
         KeyNumber("Skill of a repeated capture", *repeated, light_of(floor is not None), known),
     )
     if report.objective_error is None:
-        return (*numbers, KeyNumber("Doing nothing", "0", "the untouched image in its place"))
+        return (*numbers, KeyNumber("Doing nothing", "0", "an image of the untouched pad in place of the simulation"))
     error = report.objective_error.error_rel
     between = f"95 %: {signed_percent(error.low95)} to {signed_percent(error.high95)}"
     is_seen = not error.low95 <= 0 <= error.high95
@@ -233,9 +233,10 @@ def _sensed(sensing: SensingError) -> Part:
     simulation = next(row for row in sensing.rows if row.candidate == "simulation")
     outside = max(sensing.outside_share_simulated, sensing.outside_share_captured)
     remarks = [
-        f"The map '{sensing.normal_map}' was trained on {sensing.presses} presses; of presses that it had not seen it "
-        f"explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to {percent(score.high95)} "
-        "over random halves). A wrong map is wrong on both sides in the same way, and its errors partly cancel here."
+        f"The map '{sensing.normal_map}' was trained on {sensing.presses} presses. On presses that were not used to "
+        f"train it, the map explains {percent(score.estimate)} of the squared slopes ({percent(score.low95)} to "
+        f"{percent(score.high95)} over random halves). Errors of the map act on render and capture alike, so they "
+        "partly cancel here."
     ]
     if outside > 0.0:
         remarks.append(f"{percent(outside)} of the pixels show a change of colour that no calibration press showed.")

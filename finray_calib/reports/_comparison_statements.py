@@ -52,15 +52,15 @@ _PART_ROWS, _PART_COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "rig
 def judged_skill(low: float | None, high: float | None) -> tuple[Light, str]:
     """Return the light of a skill by its 95 % interval, and the reason."""
     if low is None or high is None:
-        return "care", "one or two presses do not show how others would score"
+        return "care", "one or two presses do not show how other presses would score"
     well = f"{WELL_KNOWN:g}"
     if low >= WELL_KNOWN:
         return "good", f"its interval lies above {well}; 1 is perfect"
     if low <= 0.0:
         where = "lies below" if high < 0.0 else "reaches"
-        return "bad", f"its interval {where} 0, which an untouched image scores"
+        return "bad", f"its interval {where} 0, the score of an untouched image"
     where = "lies below" if high < WELL_KNOWN else "reaches below"
-    return "care", f"its interval lies above 0, an untouched image, but {where} {well}"
+    return "care", f"its interval lies above 0, the score of an untouched image, but {where} {well}"
 
 
 def headline(report: PhotometricErrorReport) -> RegionError:
@@ -141,9 +141,9 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
     bound, taken_out = "no repeat was captured, so the camera's noise is unknown and lowers the score", ""
     if floor is not None:
         repeated = repeat_text(floor.skill.estimate)
-        bound = f"a repeated capture in its place scores {repeated}; the noise of encoded values stays in both scores"
+        bound = f"a repeated capture scores {repeated}; the noise of encoded values stays in both scores"
     if floor is not None and is_noise_taken_out(report):
-        bound = f"a repeated capture in its place, with its noise, scores {repeated}"
+        bound = f"a repeated capture, with its noise, scores {repeated}"
         taken_out = " (the camera's noise is taken out)"
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "
@@ -290,8 +290,9 @@ def tone_sentence(curve: FittedToneCurve) -> str:
         )
     return (
         f"Camera values follow light to the power {fixed(p.estimate, 2)} (95 %: {fixed(p.low95, 2)} to "
-        f"{fixed(p.high95, 2)}); that and the gains add {significant(curve.skill_u, 2)} to the standard uncertainty of "
-        f"the skill. {rests}. A gain common to both captured images cannot be known, and does not enter.{beyond}"
+        f"{fixed(p.high95, 2)}); this exponent and the gains add {significant(curve.skill_u, 2)} to the standard "
+        f"uncertainty of the skill. {rests}. A gain common to both captured images cannot be known, and does not "
+        f"enter.{beyond}"
     )
 
 
@@ -616,7 +617,7 @@ def validation_table(report: PhotometricErrorReport) -> ReportTable:
 
 def causes_sentence(found: ErrorAttribution) -> str:
     """Say what most of the skill is lost by."""
-    lost = f"Of the skill {fixed(found.skill_lost, 3)} is lost"
+    lost = f"A skill of {fixed(found.skill_lost, 3)} is lost"
     if not found.causes:
         return f"{lost}; no small change of the simulation explains a part of it."
     first, share = found.causes[0], found.causes[0].skill_lost / max(found.skill_lost, 1e-12)

@@ -476,9 +476,9 @@ def light_map_sentence(found: LightPlaceMap) -> str:
         ranges.append(f"{name} from {inside.min():g} to {inside.max():g}" + ("" if unit == "1" else f" {unit}"))
     unbuilt = int(np.isnan(error).sum())
     return (
-        f"Of {error.size} fingers of the map, that with {found.fields[0]} = {found.first[i]:g} and {found.fields[1]} = "
-        f"{found.second[j]:g} senses normals best: {error[i, j]:.2f} deg. Not distinguishable from it are "
-        f"{int(alike.sum()) - 1} others, within {' and '.join(ranges)}."
+        f"Of {error.size} fingers of the map, the one with {found.fields[0]} = {found.first[i]:g} and "
+        f"{found.fields[1]} = {found.second[j]:g} senses normals best, with an error of {error[i, j]:.2f} deg. "
+        f"{int(alike.sum()) - 1} others are not distinguishable from it: {' and '.join(ranges)}."
         + (f" {unbuilt} cannot be built." if unbuilt else "")
     )
 

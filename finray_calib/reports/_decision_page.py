@@ -185,7 +185,7 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     def told(angle_deg: float) -> str:
         at = int(np.abs(decision.grid_deg - angle_deg).argmin())
         losses = lost_rel(decision, np.maximum(1.0 - value[:, at], 0.0))
-        return f"{percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at most"
+        return f"a loss of {percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at most"
 
     chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (
@@ -263,7 +263,7 @@ def mounting_picture(decision: LightAngleDecision, sweep: LightAngleSweep) -> Pi
     hatched = (
         ""
         if between is None
-        else f" Hatched: between {between} it costs at most " + (f"{percent(decision.tolerance_rel)} more.")
+        else f" Hatched: angles between {between} cost at most {percent(decision.tolerance_rel)} more."
     )
     return drawing(
         mounting_figure(decision, sweep.design),
@@ -465,8 +465,8 @@ def decision_meaning(decision: LightAngleDecision) -> str:
     if not decision.validated:
         return (
             f"By the renders alone {alone_angle} loses at most {alone}, but no capture has shown how far the finger "
-            f"differs from the simulation. With what is assumed until one does, {angle} is the best guess and may lose "
-            f"{loss}. More renders will not help; a capture would."
+            f"differs from the simulation. With the difference that is assumed until then, {angle} is the best guess "
+            f"and may lose {loss}. More renders will not help; a capture would."
         )
     return (
         f"By the renders alone {alone_angle} loses at most {alone}; with the difference between simulation and capture "
@@ -584,13 +584,13 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
         told.append(_next_sentence(decision, "render", decision.next_render))
     if decision.next_capture is None and decision.aim == "normal":
         told.append(
-            "Next capture: none is proposed. Captures show the brightness; with reports on them the decision is on "
-            "that, not on the error of the normal."
+            "Next capture: none is proposed. Captures show only the brightness: with their reports the decision is "
+            "by the brightness, not by the error of the normal."
         )
     elif decision.next_capture is None and decision.verdict == "needs captures":
         told.append(
-            "Next capture: none alone is expected to change the angle. Several, at places and angles without one, "
-            "would show more surely what may be lost."
+            "Next capture: no single one is expected to change the angle. Several captures, at places and angles "
+            "without one, would make the possible loss more certain."
         )
     else:
         told.append(_next_sentence(decision, "capture", decision.next_capture))
@@ -603,7 +603,7 @@ def _next_sentence(decision: LightAngleDecision, what: str, proposal: AnglePropo
         return f"Next {what}: none is expected to change the decision."
     return (
         f"Next {what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
-        f"expected gain on average: {percent(proposal.gain_rel)} of the signal (assumed: an observation is good to "
+        f"expected gain on average: {percent(proposal.gain_rel)} of the signal (assumed uncertainty of the {what}: "
         f"{percent(proposal.noise_rel)})."
     )
 

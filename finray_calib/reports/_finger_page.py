@@ -400,7 +400,7 @@ def _assessed_numbers(
             f"{times} times",
             "the given half-ranges, for all numbers together: then 95 % of fingers have at most a tenth more error",
             light_of(tolerances.q2 >= ENOUGH_Q2 and not is_contradicted(tolerances)),
-            f"by an emulator that explains {percent(tolerances.q2)} of the variance of runs left out"
+            f"by an emulator that explains {percent(tolerances.q2)} of the variance of fingers left out of its fit"
             + ("; fingers evaluated again contradict it" if is_contradicted(tolerances) else ""),
         ),
         KeyNumber("Stiffness under the pad", rows[2][1], rows[2][2]),

@@ -197,7 +197,7 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     _draw_indenter(after, mechanics.design, depth_mm, folder)
     views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement (mm)")
     before.set_title("before: the indenter touches (dashed: the coat along the middle)")
-    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: where it was)")
+    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: before)")
     for axes in (before, after):
         axes.set(aspect="equal", ylabel="y (mm)")
         axes.grid(visible=False)

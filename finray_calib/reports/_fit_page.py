@@ -143,7 +143,7 @@ def _measured(paint: PaintCalibration, name: str) -> tuple[Light, str]:
         return "bad", "the draws of the posterior cannot be trusted"
     share = paint.prior_shares.get(name)
     if share is None:
-        return "", "how much of it comes from the prior was not judged"
+        return "", "how much of this number comes from the prior was not judged"
     left = f"{percent(share.share)} of the prior's variance remains"
     return light_of(not share.mostly_prior), f"{'mostly prior' if share.mostly_prior else 'measured'}: {left}"
 
@@ -273,8 +273,8 @@ def _emission(paints: Paints) -> Content:
     laser_nm = paints[0].fit.optics.laser.wavelength_nm
     return Content(
         lead=f"What the paint emits at each wavelength for light at {laser_nm:g} nm, per nm of emission, relative to a "
-        "perfect diffuse white. The pointwise bands contain the truth at each wavelength by itself; the one of the "
-        "whole curve holds all of it at once, where it exceeds 5 % of its peak.",
+        "perfect diffuse white. The pointwise band contains the true curve at each single wavelength with 95 % "
+        "probability; the band of the whole curve contains all of it at once, wherever it exceeds 5 % of its peak.",
         remarks=tuple(said.prior_share_statement(paint) for paint in paints),
         picture_rows=_row(paints, _emission_picture),
         tables=tuple(quantities_table(paint) for paint in paints),
@@ -461,12 +461,12 @@ def _key_numbers(paint: PaintWithoutEmission) -> tuple[KeyNumber, ...]:
     """Return the few numbers that stand beside the verdict."""
     found = paint.detection
     limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit)}"
-    modes = f"with 95 %, modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
+    modes = f"with 95 % confidence, for modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
     beyond, threshold = fixed(found.statistic_sd, 1), fixed(found.threshold_sd, 1)
     return (
         KeyNumber("Energy yield", limit, modes),
         KeyNumber("Signal beyond a blank", f"{beyond} sd", f"threshold {threshold} sd", "care", "below the threshold"),
-        KeyNumber("Reflected share of the laser", percent(paint.reflectance_at_laser), "from the filter at its line"),
+        KeyNumber("Reflected share of the laser", percent(paint.reflectance_at_laser), "by the filter at the laser"),
     )
 
 
@@ -489,7 +489,7 @@ def _limits(paint: PaintWithoutEmission) -> tuple[str, ...]:
     return (
         f"Emission with its mode beyond {found.limit_high_nm:.0f} nm is not seen by these filters.",
         "The limit depends on the filters' blocking as the rig file states it, and on an allowance for stray light of "
-        "0.03 % of the laser. Filters that leak more make blanks look like paints.",
+        "0.03 % of the laser. Filters that leak more make samples without emission look like paints.",
         f"Of all samples without any emission, {percent(found.false_alarm)} are wrongly called paints.",
     )
 

@@ -101,7 +101,7 @@ def raspberry_pi_display(image: NDArray[np.floating], pad: NDArray[np.bool_]) ->
     colours = np.asarray(image, dtype=np.float64) * _PI_GAINS @ _PI_MATRIX.T
     brightest = np.nanpercentile(colours[pad].max(axis=-1), WHITE_PERCENTILE) if pad.any() else 0.0
     if not brightest > 0.0:
-        raise RecordError("display image: the pad is black in the colours of a Raspberry Pi; check lights and paints")
+        raise RecordError("display image: the pad is black in a Raspberry Pi's colours; check lights and paints")
     exposed = np.clip(np.nan_to_num(_PI_EXPOSED_TO / brightest * colours), 0.0, 1.0)
     return np.asarray(np.rint(255.0 * np.interp(exposed, *_PI_TONE_CURVE)), dtype=np.uint8)
 

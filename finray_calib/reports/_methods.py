@@ -200,6 +200,6 @@ def check_methods(guard_factor: float) -> tuple[str, ...]:
     """Return how a rig was judged."""
     return (
         "Each device was exercised and each quantity compared with the limit that the plan declares. A check passed "
-        f"where the value and {guard_factor:g} standard uncertainties lay inside the limit, failed where they lay "
-        "outside, and was undecided between with a guard band for 95 % confidence (JCGM 106, 2012).",
+        f"where the value was inside the limit by at least {guard_factor:g} standard uncertainties, failed where it "
+        "was outside by at least as much, and was undecided between (JCGM 106, 2012, guard band for 95 % confidence).",
     )

@@ -170,8 +170,8 @@ def comparison_lines(report: PhotometricErrorReport) -> str:
     lines += ["", _cut(f"headline: {name} {headline} over {report.headline_region}", WIDTH_COLUMNS)]
     if interval_name(report) != "95 %":
         lines.append(
-            "in brackets: spread over pixels of this press, not a 95 % interval; compare folders of three "
-            "presses or more for one"
+            "in brackets: spread over pixels of this press, not a 95 % interval; for an interval, compare folders "
+            "of three presses or more"
         )
     for metric in report.packaged_metrics:
         shown = "; ".join(f"{row.candidate} {metric_value(row, metric)}" for row in metric.rows)
@@ -253,7 +253,7 @@ def _lines(comparison: ForceComparison) -> Iterator[str]:
         rms = row.rms_rel
         yield f"{row.candidate:<12}{100 * rms.estimate:7.1f} %" + _interval(rms, ".1f", "  ", 100.0, " %")
     if comparison.first_touch is None:
-        yield "first touch: displacements are measured from it; it is not fitted"
+        yield "first touch: the zero of the measured displacements; not fitted"
     else:
         offset = comparison.first_touch.offset_mm
         known = "" if comparison.withheld else f", u = {comparison.first_touch.u_mm:.3f} mm"

@@ -386,7 +386,7 @@ def require_matching_capture(record: NormalMapRecord, capture: TactileCapture) -
             raise CompareError(
                 f"{capture.name} has {scale_mm:.4g} mm per pixel, the normal map '{record.name}' "
                 f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance, "
-                "or where the capture states a planned scale give the measured one (--scale)"
+                "or give the measured scale (--scale) if the capture states a planned one"
             )
 
 

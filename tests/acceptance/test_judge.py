@@ -113,7 +113,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"handshakes": (handshake(identity=None),)}, "camera answers", "ERROR", "was not asked"),
         ({"handshakes": (handshake(durations_s=(0.1, 2.1)),)}, "camera answers", "FAIL", "model X1, serial 007"),
         ({"handshakes": (handshake(driver="indi", identity=handshake().identity),)}, "camera answers", "FAIL",
-         "a camera behind driver 'aravis' answers"),
+         "it answers as a camera of driver 'aravis'"),
         ({"handshakes": (handshake(identity={"role": "camera", "driver": "aravis"}),),
           "reconnected": ({"role": "camera", "driver": "aravis"},)}, "camera answers", "UNDECIDED",
          "does not identify itself"),
@@ -122,7 +122,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
          "it is switched by hand"),
         ({"reconnect_s": 50.0}, "devices come back", "FAIL", "4 devices, the same as before"),
         ({"reconnected": tuple(hand.identity for hand in HANDSHAKES[:3])}, "devices come back", "FAIL",
-         "another lamp answers than before"),
+         "a different lamp answers than before"),
         ({"frame_overheads_s": (0.1, 1.5)}, "frames in time", "FAIL", "mean 0.8 s of 2 frames"),
         ({"levels": tuple(drifting(t, 100.0 * t, 0.02) for t in (1, 2, 4))}, "lamp is steady", "FAIL",
          "6 rounds of 3 exposures within 20 s"),
@@ -323,12 +323,12 @@ def test_results_in_words(rig):
     found = results(judge(GOOD, PLAN, rig))
     assert value_text(found["laser off by the guard"]) == "0.200 +- 0.058 s"
     assert value_text(found["wheel arrives"]) == "0 moves"
-    assert "as position and, where bright enough, frame after each one show" in found["wheel arrives"].evidence
+    assert "by the reported position and, where bright enough, the frame after each" in found["wheel arrives"].evidence
     assert value_text(found["filters in their slots"]) == ""
     assert result_line(found["laser off by the guard"]) == (
         "PASS      laser off by the guard: 0.200 +- 0.058 s (allowed: at most 1 s); slowest of 2 mishaps, reported "
         "by the laser's controller only, over a new connection; its light was not observed; before, the camera saw "
-        "it dark behind filter 450 whenever it was reported off; light below 0.14 % of the laser's, 0.0062 mW at "
+        "no light behind filter 450 while the laser was reported off; light below 0.14 % of the laser's, 0.0062 mW at "
         "most, would not be seen"
     )
     line = result_line(found["filters in their slots"])

@@ -343,7 +343,7 @@ def test_what_pages_may_not_ask_of_a_session(small, short, command):
     ("words", "reason"),
     [("", "give --rig to see"), ("--plan plan.toml", "give the --rig on which"),
      ("--rig r --out o", "belong to a session"),
-     ("--resume s --plan plan.toml", "leave out the others"), ("--plan p --rig r --terminal", "is not a terminal")],
+     ("--resume s --plan plan.toml", "leave out --plan, --rig"), ("--plan p --rig r --terminal", "is not a terminal")],
 )  # fmt: skip
 def test_commands_that_are_none(words, reason, capsys):
     assert main(["live", *words.split()]) == 2

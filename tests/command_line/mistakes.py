@@ -699,7 +699,7 @@ CASES = (
     Case(
         "contact of CalculiX",
         MECHANICS + " --contact barrier --engine calculix",
-        r"--contact: CalculiX has a contact of its own; leave out --contact, or --engine calculix",
+        r"--contact: CalculiX has its own contact method; leave out --contact or --engine calculix",
         design(""),
     ),
     Case(
@@ -1057,7 +1057,9 @@ USAGE = (
     ),
     Case("seed in words", "decide {lab}/sweep.json --seed one", r"argument --seed: 'one' is not a whole number"),
     Case("no seed", "decide {lab}/sweep.json --seed", r"--seed: a value must follow it; .*; 'finray decide --help'"),
-    Case("a weight below 0", "decide {lab}/sweep.json --weights -1,2", r"joined by '=': --weights=-VALUE; 'finray"),
-    Case("angles below 0", SWEEP + " --angles -60:100:10", r"begins with '-' is joined by '=': --angles=-60"),
+    Case(
+        "a weight below 0", "decide {lab}/sweep.json --weights -1,2", r"begins with '-', type --weights=-VALUE; 'finray"
+    ),
+    Case("angles below 0", SWEEP + " --angles -60:100:10", r"begins with '-', type --angles=-60"),
     Case("unknown format", "import taxidermy {lab}", r"invalid choice: 'taxidermy' \(choose from '?captures"),
 )

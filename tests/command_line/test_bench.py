@@ -138,7 +138,7 @@ def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> 
     Path("simulator.py").write_text(script.replace("renders / press.name", 'renders / ("x" + press.name)'))
     outcome = finray(f"bench tactile set --teach 2 --simulator other --command {command()} --out again")
     assert outcome.status == 2
-    assert "holds x0002, which is not one of the judged presses; render only those of" in outcome.err
+    assert "holds x0002, which is not one of the judged presses; render only the presses in" in outcome.err
 
 
 def test_a_run_that_failed_starts_anew_in_the_same_folder_and_spares_what_is_not_its_own(captures: Path) -> None:

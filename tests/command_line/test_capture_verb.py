@@ -53,7 +53,7 @@ def test_dry_run_needs_nobody(lab: Path, tmp_path: Path, monkeypatch: pytest.Mon
     write_rig(rig.model_copy(update=update), tmp_path / "rig.toml")
     outcome = finray(f"capture {lab}/plan.toml --rig {tmp_path}/rig.toml --dry-run")
     assert (outcome.status, outcome.err) == (0, "")
-    assert "would be asked during the capture: Switch the lamp off.\n" in outcome.out
+    assert "you will be asked during the capture: Switch the lamp off.\n" in outcome.out
     assert "nothing was moved, lit or stored" in outcome.out
 
 

@@ -83,7 +83,7 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
     command = f"compare {lab}/p.mechanics.json --force {lab}/bench.csv --known-first-touch --out {lab}/force.json"
     told = succeed(command)
     assert "off by > 2 u_val" in told
-    assert "displacements are measured from it; it is not fitted" in told
+    assert "the zero of the measured displacements; not fitted" in told
     again = finray(command)
     assert again.status == 2
     assert "exists already and is not overwritten" in again.err

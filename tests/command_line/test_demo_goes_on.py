@@ -153,9 +153,9 @@ def without_input(out: Path) -> None:
         (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
         (
             other_input,
-            r"two\.json: was made from another one\.json than the one that exists; move it away to have it",
+            r"two\.json: was made from another one\.json than the present one; move two\.json away to have it",
         ),
-        (without_input, r"two\.json: was made from another one\.json than the one that exists; move it away"),
+        (without_input, r"two\.json: was made from another one\.json than the present one; move two\.json away"),
         (cut_off, r"two\.json: cannot be read as JSON"),
     ],
 )

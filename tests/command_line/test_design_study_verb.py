@@ -149,7 +149,7 @@ def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys
     assert found["only_first"] == [{"light.angle_deg": 30.0}]
     assert main(["study", "compare", a, c]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "the two studies share no number of any point; they change light.angle_deg, and pad.thickness_mm" in said
+    assert "share no number of any point; the first changes light.angle_deg, the second pad.thickness_mm" in said
 
 
 def test_a_folder_with_the_name_of_a_ready_made_design_does_not_hide_it(tmp_path, monkeypatch):

@@ -111,7 +111,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         ("--pad {0}/board-0.png --square-u-mm nan " + BOARD, "--square-u-mm nan: must be"),
         (
             "--pad {0}/board-0.png --square-u-mm 0.003 --coat-behind-mm 1000 " + BOARD,
-            "--coat-behind-mm 1000, --coat-behind-u-mm 0: must be -100 to 100 mm",
+            "--coat-behind-mm 1000, --coat-behind-u-mm 0: the first must be -100 to 100 mm",
         ),
         ("--pad {0}/blank.png --square-u-mm 0.003 " + BOARD, "blank.png: 0 of the 24 corners of the board"),
         ("--pad {0}/black.png --square-u-mm 0.003 " + BOARD, "black.png: every pixel has the same value"),

@@ -113,7 +113,7 @@ def test_the_interval_is_that_of_a_jackknife_by_hand():
 def test_two_presses_have_no_interval_and_what_noise_leaves_ends_at_one():
     two = skill_over_presses([pair("a", 0.391), pair("b", 0.9)])
     assert (two.low95, two.high95) == (None, None)
-    assert two.method == "no interval: it needs three independent units, and there are 2"
+    assert two.method == "no interval: it needs three independent presses, sessions or sensors, and there are 2"
     assert skill_over_presses([pair("a", None)]) is None
     # noise that was taken out leaves one press no error
     above = skill_over_presses([pair("a", 0.95), pair("b", 1.02), pair("c", 0.97)])

@@ -69,10 +69,10 @@ def reverse(dn):
 
 SPOILT = {
     "contact in BGR": (
-        lambda c: edited(c, reverse, "contact"), "refuse", "channel order", r"its own no-contact image as BGR",
+        lambda c: edited(c, reverse, "contact"), "refuse", "channel order", r"no-contact image when read as BGR",
     ),
     "all in BGR": (
-        lambda c: edited(c, reverse), "refuse", "channel order", r"fits the render as BGR .*OpenCV's is BGR",
+        lambda c: edited(c, reverse), "refuse", "channel order", r"fits the render when read as BGR .*OpenCV's is BGR",
     ),
     "contact one third brighter": (
         lambda c: edited(c, brighter(4 / 3), "contact"), "refuse", "exposure", r"is 1\.3\d\d times as bright",

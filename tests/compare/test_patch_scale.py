@@ -115,7 +115,7 @@ def test_a_planned_scale_is_replaced_by_the_measured_one_before_sensing(scale):
     simulated = press()
     capture = capture_of(simulated, 50.0).model_copy(update={"mm_per_px": 1.15 * MM_PER_PX, "mm_per_px_u_rel": 0.2})
     normal_map = map_taught_at(with_measured_scale(capture, scale).mm_per_px)
-    with pytest.raises(CompareError, match=r"or where the capture states a planned scale give the measured one"):
+    with pytest.raises(CompareError, match=r"or give the measured scale \(--scale\) if the capture states a planned"):
         compare_checked(simulated, capture, 1, CheckOptions(normal_map=normal_map))
     report, _ = compare_checked(simulated, capture, 1, CheckOptions(normal_map=normal_map, pixel_scale=scale))
     assert report.sensing is not None

@@ -222,7 +222,7 @@ def test_factors_stay_positive_whatever_their_tails_say():
 
 
 def test_no_region_is_refused(scene):
-    with pytest.raises(CompareError, match="no region to compare: give at least the contact region"):
+    with pytest.raises(CompareError, match="no region to compare: give the contact region"):
         compare(*scene, regions=())
 
 

@@ -185,7 +185,7 @@ def test_a_prior_is_said_to_be_one():
     lines = uncertainty_budget(comparison, inputs, EVERYWHERE, np.ones(3), CAPTURE, np.random.default_rng(5))
     drift = next(line for line in lines if line.input == DRIFT)
     assert drift.evaluation == "B"
-    assert drift.source == "0.7 % and what real sensors show"
+    assert drift.source == "0.7 %, from what real sensors show"
 
 
 def test_the_ring_lies_between_one_and_one_and_a_half_half_widths():

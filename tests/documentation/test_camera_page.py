@@ -87,7 +87,7 @@ def test_the_threshold_is_that_of_the_standard_and_its_uncertainty_covers():
 
 def test_what_was_not_measured_is_said(camera):
     prose = Page(camera_page(camera)).prose
-    for words in ("Quantum efficiency", "known irradiance", "There are no spectrograms", "every second one",
+    for words in ("Quantum efficiency", "known irradiance", "There are no spectrograms", "every second row",
                   "rig's own lamp", "temperature of the sensor"):  # fmt: skip
         assert words in prose
 

@@ -117,7 +117,7 @@ def test_a_skill_is_judged_alike_on_all_pages():
     assert judged_skill(0.92, 0.97) == ("good", "its interval lies above 0.9; 1 is perfect")
     assert judged_skill(0.7, 0.8)[1].endswith("but lies below 0.9")
     assert judged_skill(0.7, 0.95)[1].endswith("but reaches below 0.9")
-    assert judged_skill(-0.1, 0.95) == ("bad", "its interval reaches 0, which an untouched image scores")
+    assert judged_skill(-0.1, 0.95) == ("bad", "its interval reaches 0, the score of an untouched image")
     assert judged_skill(-0.2, -0.1)[1].startswith("its interval lies below 0")
     assert judged_skill(None, None)[0] == "care"
 

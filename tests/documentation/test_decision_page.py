@@ -126,9 +126,9 @@ def test_what_to_do_next_does_not_contradict_the_verdict():
     nothing = {"next_render": None, "next_capture": None}
     several = example_decision("needs captures").model_copy(update={**nothing, "contacts": (contact, contact)})
     (told,) = words.next_sentences(several)
-    assert told.startswith("Next capture: none alone is expected to change the angle. Several, ")
+    assert told.startswith("Next capture: no single one is expected to change the angle. Several ")
     normal = several.model_copy(update={"aim": "normal"})
-    assert "not on the error of the normal" in " ".join(words.next_sentences(normal))
+    assert "not by the error of the normal" in " ".join(words.next_sentences(normal))
     assert words.next_sentences(DECISION.model_copy(update=nothing)) == (
         "Next render: none is expected to change the decision.",
         "Next capture: none is expected to change the decision.",
@@ -347,12 +347,12 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
     order = [
         "Mount the light at 32 \u00b1 6 deg: the brightness of the touch is on average 8.3 % below the best.",
         "The finger from the side, to scale.",
-        "Hatched: between 26 and 41 deg it costs at most 2 % more.",
+        "Hatched: angles between 26 and 41 deg cost at most 2 % more.",
         "The angle is not decided 32 deg ! with care : captures are needed",
         "What each place loses",
         "8 mm 33 % 63 deg 22 % 52 %",
         "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
-        "Best on average is 32 deg: 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
+        "Best on average is 32 deg: a loss of 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
         "The best on average was chosen (--criterion).",
     ]
     text = plain(html[: html.index(TRUST)])

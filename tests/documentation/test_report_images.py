@@ -75,7 +75,7 @@ def test_a_raspberry_pi_shows_daylight_grey_and_its_leds_blue() -> None:
     assert led[0, 0, 0] == 0
     assert led[0, 0, 1] == 0
     assert led[0, 0, 2] > 200
-    with pytest.raises(RecordError, match=r"the pad is black in the colours of a Raspberry Pi"):
+    with pytest.raises(RecordError, match=r"the pad is black in a Raspberry Pi's colours"):
         raspberry_pi_display(np.zeros((4, 4, 3)), pad)
 
 

@@ -59,7 +59,7 @@ def test_messages_say_value_limit_and_reason():
     assert (
         root.find(".//failure").get("message")
         == "allowed: at most 1 s; the laser was still on after 3 of 3 mishaps; each was watched for 5 s. What to do: "
-        "do not use this laser until the layer that should have switched it off is repaired"
+        "do not use this laser until the protection that should have switched it off is repaired"
     )
     assert root.find(".//skipped").get("message") == "it is switched by hand, so no device can be asked"
     slow = etree.fromstring(junit_xml(report(handshakes=(handshake(durations_s=(3.0,)),)), ORIGIN))

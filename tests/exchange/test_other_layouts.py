@@ -109,7 +109,7 @@ def test_layouts_that_are_read(tmp_path, files, rest, change, picture, names, bi
             "p{}.PNG",
             "p{press}.png",
             "rest.PNG",
-            r"where upper and lower case differ; the folder holds, for example, .*p[1-5]\.PNG",
+            r"upper and lower case count\); the folder holds, for example, .*p[1-5]\.PNG",
         ),
         ("p{}.tif", "p{press}.tif", "rest.tif", r"convert all pictures without loss, such as with 'mogrify"),
         ("p{}.npy", "p{press}.npy", "rest.npy", r'does not state the order of its channels; write channels = "RGB"'),
@@ -467,7 +467,7 @@ def test_a_press_whose_json_label_holds_no_number_is_left_out_as_one_without_a_l
     [
         ('[{"Fz": 1.0}]', r"1\.json: must be one object \{ \.\.\. \} with the labels of its press"),
         ('{"Fz": 1.0, "r": 5}', r"1\.json: 'contact\.x' is missing; it holds Fz, r$"),
-        ('{"Fz": [1.0, 2.0]}', r"1\.json: 'Fz' must be one number, or name\[k\] an entry; it holds 2$"),
+        ('{"Fz": [1.0, 2.0]}', r"1\.json: 'Fz' holds 2 numbers; name one, such as Fz\[0\]$"),
     ],
 )
 def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, text, message):
@@ -486,8 +486,14 @@ def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, te
         (".h5", r"numpy\.save\(f'\{k\}\.npy', image\) for k, image in enumerate\(h5py\.File\('1\.h5'\)\['NAME'\]\)\]$"),
         (".webp", r"such as with 'mogrify -format png \*\.webp'"),
         # 'mogrify -format png *.png' would write over the originals
-        (".png", r"1\.png: is neither .*; its content is not that of its name: copy it again from its source$"),
-        (".JPG", r"1\.JPG: is neither .*; its content is not that of its name: copy it again from its source$"),
+        (
+            ".png",
+            r"1\.png: is neither .*; its content does not match the ending of its name: copy it again from its source$",
+        ),
+        (
+            ".JPG",
+            r"1\.JPG: is neither .*; its content does not match the ending of its name: copy it again from its source$",
+        ),
         (".mp4", r"1\.mp4: is neither .*; convert the video: ffmpeg -i VIDEO -c:v mjpeg"),
     ],
 )

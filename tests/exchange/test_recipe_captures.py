@@ -107,9 +107,7 @@ def test_a_circle_larger_than_its_ball_leaves_the_press_out(tmp_path):
     assert list(found.left_out.values()) == [["0001"]]
     assert "larger than the ball's 46.01 px" in next(iter(found.left_out))
     # a scale the wrong way round contradicts every circle
-    with pytest.raises(
-        ImportFormatError, match=r"none of its 5 presses can be read.*is the scale mm per px and not px"
-    ):
+    with pytest.raises(ImportFormatError, match=r"none of its 5 presses can be read.*the scale is mm per px, not px"):
         read_by_recipe(folder, shipped("fots-gelsight", scale=0.9))
 
 

@@ -136,9 +136,9 @@ def design_study_page(
 
 
 _IMAGE_LIMITS = (
-    "Intervals (95 %) of what images show come from independent renders of each point, and the halves of each: they "
-    "include the noise of the renders, and leave out assumed materials, dimensions and camera response, which all "
-    "points share.",
+    "Intervals (95 %) of what images show come from independent renders of each point, and from halves of each "
+    "render: they include the noise of the renders, and leave out assumed materials, dimensions and camera response, "
+    "which all points share.",
     "All points share their random numbers, so the difference of two points is more certain than each of them.",
     "Vividness treats the camera's channels as sRGB, exposed and white-balanced on the coat itself; it ranks "
     "fingers with one camera and is not an absolute measure of colour.",

@@ -553,9 +553,9 @@ def _powers_content(record: LightPowers) -> Content:
         "share of the light now",
     )
     return Content(
-        f"The design file beside this page has these powers. On this basis no powers within the limits are more even "
-        f"by a share larger than {max(record.gap_rel, 1e-12):.0e} (bound by the gradient). All lights together emit at "
-        f"most {record.total_rel:.3g} times what they do now.",
+        f"The design file beside this page has these powers. By this computation no powers within the limits light the "
+        f"coat more evenly by a share larger than {max(record.gap_rel, 1e-12):.0e} (bound by the gradient). All lights "
+        f"together emit at most {record.total_rel:.3g} times what they do now.",
         tables=(one_group("Powers (radiance along the normal, relative)", columns, rows),),
         has_wide_tables=True,
     )
