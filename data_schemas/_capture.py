@@ -78,7 +78,7 @@ class PaintPlan(Record):
         default=0.7, description="brightest pixel of the region as a fraction of full scale"
     )
     bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
-        default=(1.0, 0.25), min_length=1, description="exposures of each step, as factors of the metered one"
+        default=(1.0, 0.25), min_length=1, description="exposures of each step, as multiples of the metered exposure"
     )
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
     second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
@@ -127,13 +127,13 @@ class Frame(Model):
         description="laser light that fell on the sample from the start of the session to the middle of this exposure: "
         "power x time with the laser on and the sample in view, metering included",
     )
-    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may wrap")
+    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may start over")
     device_time_s: float | None = Field(default=None, description="the camera's own time of the frame")
     lights_before: tuple[Literal["lamp", "laser"], ...] = Field(
-        default=(), description="lights that read back as on before the exposure"
+        default=(), description="lights that reported to be on before the exposure"
     )
     lights_after: tuple[Literal["lamp", "laser"], ...] = Field(
-        default=(), description="lights that read back as on after the exposure"
+        default=(), description="lights that reported to be on after the exposure"
     )
     settings: dict[str, str | float] = Field(
         default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
@@ -291,7 +291,9 @@ class MeasuredPress(Model):
 
     contact: Annotated[int, Field(ge=1)]
     ended_by: Literal["depth", "force"] = Field(description="whether the press ended at its depth or at its force")
-    touch_mm: PositionMm = Field(description="machine coordinate of the press axis at the touch that the cell found")
+    touch_mm: PositionMm = Field(
+        description="machine coordinate of the press axis at first touch, as found with the load cell"
+    )
     touch_uncertainty_mm: UncertaintyMm
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
     depth_uncertainty_mm: UncertaintyMm
@@ -299,9 +301,9 @@ class MeasuredPress(Model):
     force_uncertainty_n: UncertaintyN
     relaxed_n: SignedN = Field(description="by how much the force fell while the images were taken")
     zero_shift_n: SignedN | None = Field(
-        default=None, description="shift of the cell's zero, after the indenter was taken away"
+        default=None, description="shift of the load cell's zero, measured after the indenter was taken away"
     )
-    point_depths_mm: tuple[float, ...] = Field(default=(), description="depths of the steps since the touch")
+    point_depths_mm: tuple[float, ...] = Field(default=(), description="depths of the steps since first touch")
     point_forces_n: tuple[float, ...] = ()
     point_uncertainties_n: tuple[float, ...] = ()
 
@@ -372,7 +374,7 @@ class TactileCapture(Record):
     licence: str | None = Field(
         default=None, description="licence under which the images were published; none: not known"
     )
-    missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture does not hold")
+    missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture lacks")
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
@@ -515,8 +517,8 @@ class TactilePlan(Record):
     )
     poses_csv: str | None = Field(
         default=None,
-        description="in place of 'presses': a CSV file of poses that a stage reports, with the names of their "
-        "fields as header; relative to the plan",
+        description="in place of 'presses': a CSV file of poses that a stage reports, with the keys of [[presses]] as "
+        "header; relative to the plan",
     )
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1, description="number of repeats of each press; the indenter is retracted between them"

@@ -58,7 +58,12 @@ class MonteCarlo(Model):
 
     draws: int
     significant_digits: Annotated[
-        int, Field(ge=0, le=2, description="stable digits of the headline's standard uncertainty")
+        int,
+        Field(
+            ge=0,
+            le=2,
+            description="number of numerically stable digits of the headline's standard uncertainty (JCGM 101)",
+        ),
     ]
     not_included: tuple[str, ...] = Field(description="what the intervals leave out, in plain words")
 
@@ -236,7 +241,7 @@ class WhiteBalanceDrift(Model):
     brought to the light of their no-contact image, each by its own gain.
     """
 
-    gains: tuple[float, float, float] = Field(description="red, green, blue of the capture; 1: none")
+    gains: tuple[float, float, float] = Field(description="gains of the capture for red, green, blue; 1: no gain")
     expected_gains: tuple[float, float, float] = Field(description="gains that the simulation expects")
     u_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="relative standard uncertainty")
     uneven_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="change across the picture")
@@ -401,7 +406,9 @@ class ComparedPair(Model):
     simulated: str
     captured: str
     simulator: str = Field(default="", description="name of the simulator; empty where only one is compared")
-    press: str = Field(default="", description="repeats of one press share it; empty: the name")
+    press: str = Field(
+        default="", description="name that repeats of one press share; empty: same as the name of the pair"
+    )
     session: str | None = Field(default=None, description="session in which it was captured; None: not known")
     sensor: str | None = Field(default=None, description="sensor with which it was captured; None: not known")
     report: str | None = Field(default=None, description="file of the report, relative to the batch")
@@ -582,7 +589,7 @@ class FittedModulus(Model):
     prior: Estimate = Field(description="without the curves")
     posterior: Estimate
     left_of_prior_rel: NotNegative = Field(
-        description="width of the middle 68 % of its logarithm after the curves / that before"
+        description="width of the middle 68 % of the modulus' logarithm, with the curves / without them"
     )
     verdict: MaterialVerdict = Field(
         description="verdict by the share of the prior's width that is left: below a quarter and known to 15 %, below "

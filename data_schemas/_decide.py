@@ -41,7 +41,8 @@ class DecidingCapture(Model):
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
     error_rel: float = Field(
-        description="simulated / captured objective - 1; for absolute ratios without the scale of the rig"
+        description="simulated / captured objective - 1; where captures are compared by exposure and LED current, the "
+        "unknown scale of the rig is taken out"
     )
     error_u_rel: float = Field(description="standard uncertainty of the error, including that of the angle")
     value: float
@@ -372,7 +373,8 @@ class FingerTolerances(Record):
     sentence: str
     objective: str
     calibration: Literal["own", "shared"] = Field(
-        description="whether each finger is calibrated as it was built, or takes the calibration of the finger as drawn"
+        description="whether each finger is calibrated as it was built, or uses the calibration of the finger as "
+        "designed"
     )
     allowed_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed growth of the error")
     nominal_error_deg: Annotated[float, Field(gt=0.0)] = Field(description="expected error of the finger as designed")

@@ -321,7 +321,7 @@ class PackagedPad:
         if abs(middle) > _CROWN_MM or drop.min() < -_CROWN_MM:
             raise self._plug_in.refusal(
                 "has its crown at another place: drop_mm must be 0 mm in the middle of the pad and nowhere "
-                f"below that, but is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
+                f"negative, but is {middle:.3g} mm in the middle and {drop.min():.3g} mm at its lowest", "pad: ",
             )  # fmt: skip
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)
@@ -385,5 +385,6 @@ def require_address(driver: str, address: str) -> None:
     near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'? If" if near else "if"
     raise ValueError(
-        f"driver: finray has no driver '{driver}'; {hint} another package provides it, state its address as well"
+        f"driver: finray has no driver '{driver}'; {hint} another package provides this driver, give its address as "
+        "well"
     )

@@ -68,7 +68,7 @@ class TaughtKernel(Model):
     """Covariance exp(-d^2 / 2) + linear_rel (1 + x . y) of a Gaussian process, d by the lengths; times a variance."""
 
     lengths: Annotated[Floats, ArraySpec("<f8", ("feature",))] = Field(
-        description="lengths of the kernel, in half widths of the family"
+        description="correlation lengths of the kernel, in half widths of the family"
     )
     linear_rel: Annotated[float, Field(ge=0.0)]
     noise_rel: Annotated[float, Field(gt=0.0)] = Field(description="variance that does not depend on the features")

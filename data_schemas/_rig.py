@@ -45,7 +45,7 @@ def _where_none_is_given(catalogue_nm: float) -> Callable[[dict[str, Any]], floa
 def _uncertainty_text(catalogue_nm: float) -> str:
     """Say which standard uncertainty holds where none is given."""
     return (
-        f"standard uncertainty, of a certificate; left out, {catalogue_nm:g} nm with a catalogue's data only, "
+        f"standard uncertainty from a certificate; if left out: {catalogue_nm:g} nm with a catalogue's data only, "
         f"{MEASURED_CURVE_NM:g} nm with a measured curve"
     )
 
@@ -77,7 +77,8 @@ class BandPassFilter(Model):
     peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     blocking_od: OpticalDensity = Field(
         default=5.0,
-        description="floor of the transmission, also of a measured curve, outside whose range it is the transmission",
+        description="optical density of the lowest transmission, also for a measured curve; outside the curve's range "
+        "this is the transmission",
     )
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
@@ -86,9 +87,9 @@ def _driver_name(name: str) -> str:
     """Refuse what is no name of a driver."""
     if not re.fullmatch(DRIVER_NAME, name):
         raise ValueError(
-            "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
-            "file cannot name a module, because it must not decide which code runs: install the package that provides "
-            "the driver"
+            "must be the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens. A "
+            "rig file cannot name a module, because it must not decide which code runs: install the package that "
+            "provides the driver"
         )
     return name
 
@@ -211,7 +212,7 @@ class OutsideLayer(Model):
 
     kind: Literal["interlock", "relay with pulse", "dead-man"] = Field(
         description="interlock: opening the box cuts the supply; relay with pulse: it opens unless it is pulsed; "
-        "dead-man: the controller itself switches off when it hears nothing"
+        "dead-man: the controller itself switches off when it receives no message"
     )
     tested_on: IsoDay = Field(description="day of the last test, with the laser on")
     test: Annotated[str, Field(min_length=10, max_length=200)] = Field(
@@ -318,11 +319,16 @@ class WhiteReference(Model):
 class BandUncertainty(Model):
     """Relative standard uncertainties of band values besides the noise of frames; smaller only where measured."""
 
-    calibration_rel: TypeBUncertainty = Field(default=0.01, description="of a filter's value, common to its channels")
-    response_rel: TypeBUncertainty = Field(default=0.003, description="of a channel's response in a filter's band")
+    calibration_rel: TypeBUncertainty = Field(
+        default=0.01, description="error of a filter's value, common to its channels"
+    )
+    response_rel: TypeBUncertainty = Field(
+        default=0.003, description="error of a channel's response in a filter's band"
+    )
     stray_light_rel: TypeBUncertainty = Field(
         default=0.003,
-        description="light that bypasses the filter, relative to the brightest filter except that of the laser",
+        description="light that bypasses the filters, relative to the strongest signal of a filter other than the "
+        "laser's",
     )
 
 

@@ -412,7 +412,8 @@ class PressMechanics(Record):
     unreached: str = Field(description="why the push ended early; empty when it did not")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
         default=None,
-        description="force of a press to a force, in place of design.indenter.depth_mm; None for a press to a depth",
+        description="force up to which the indenter was pressed (--force), in place of design.indenter.depth_mm; None "
+        "for a press to a depth",
     )
     slip_torque_per_friction_n_mm: Torque | None = Field(
         default=None,
@@ -464,7 +465,7 @@ class PressIncrement(Record):
     )
     unstable: str = Field(
         default="",
-        description="at which push first the finger may stand at an unstable equilibrium; empty where the search found "
+        description="the first push at which the equilibrium may be unstable, in words; empty where the search found "
         "none, or in increments of older versions",
     )
     parts_touch_from_mm: float | None = Field(
@@ -559,7 +560,7 @@ class ObjectGrasp(Record):
         description="distance that each finger has moved since both touched the object"
     )
     closing_force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="mean of both fingers' forces along the closing"
+        description="mean of both fingers' forces along the direction of closing"
     )
     carried_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="part of the weight that the fingers carry"

@@ -632,5 +632,5 @@ class LearningDataset(Record):
     shards: tuple[DatasetShardRow, ...]
     failures: tuple[DatasetFailure, ...] = ()
     processor_s: Annotated[float, Field(ge=0.0)]
-    sample_bytes: Annotated[int, Field(ge=0, description="mean over the samples of the shards' sizes")]
+    sample_bytes: Annotated[int, Field(ge=0, description="size of all shards / number of samples")]
     notes: tuple[str, ...] = ()

@@ -251,7 +251,7 @@ _NO_PATH: Final = """\
 # [[indenter.path]] begins a pose that a press by finite elements moves through, in place of depth_mm; there may be
 # several: across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg, increments.
 """
-_NO_SURFACE: Final = "\n# [surface] gives the pressed coat's shape. It excludes [indenter]: leave that out with it.\n"
+_NO_SURFACE: Final = "\n# [surface] gives the shape of the pressed coat; leave [indenter] out if you give [surface].\n"
 _OF_PACKAGES: Final = ("parameters", "package")
 
 

@@ -63,8 +63,8 @@ def chosen_mode(settings: CameraSettings, modes: Sequence[Mode], name: str) -> M
     if asked not in fitting:
         allowed = ", ".join(f"{width} x {height}" for width, height in sorted(fitting)) or "none"
         raise RefusedError(
-            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; with these bits it "
-            f"has (width x height, cut to begin with red): {allowed}; correct the rig file"
+            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; with this bit "
+            f"depth it has (width x height, cropped so that the first pixel is red): {allowed}; correct the rig file"
         )
     return fitting[asked]
 

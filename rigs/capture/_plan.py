@@ -78,7 +78,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
 def require_named(field: str, name: str) -> None:
     """Refuse an empty name of what is captured: files and records are named after it."""
     if not name.strip():
-        raise CaptureError(f"{field}: is empty; write the name for files and records")
+        raise CaptureError(f"{field}: is empty; write a name, which files and records will carry")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
@@ -296,12 +296,12 @@ def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPres
     if shot.frame_type == "board" and plan.board is not None:
         if plan.board.on_pad and shot.place == 1:
             return (
-                f"Lay the ChArUco board flat where the coat of the pad is, printed face to the camera; place 1 of "
-                f"{plan.board.images}."
+                "Lay the ChArUco board flat where the coat of the pad is, with its printed face to the camera (place "
+                f"1 of {plan.board.images})."
             )
         return (
-            f"Hold the ChArUco board still and in view; place {shot.place} of {plan.board.images}, each with another "
-            f"turn and tilt."
+            f"Hold the ChArUco board still and in view (place {shot.place} of {plan.board.images}); turn and tilt it "
+            "differently at each place."
         )
     if shot.frame_type == "no contact":
         if shot.place == 0:

@@ -365,7 +365,7 @@ class StagePress:
                 if strongest_n > limit_n:
                     raise ForceLimitError(
                         f"stage: the search for the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
-                        f"by one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
+                        f"in one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
                         "rig file",
                         strongest_n,
                         limit_n,

@@ -54,7 +54,7 @@ _ALARMS: Final = {
     1: "a limit switch was hit",
     2: "the end of a move lies beyond the controller's soft limits",
     3: "it was reset while it moved",
-    4: "the probe was in the wrong state",
+    4: "the probe input was in the wrong state",
     5: "the probe touched nothing",
     6: "homing was reset",
     7: "a door was opened while it homed",
@@ -106,7 +106,7 @@ class GrblStage:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
         self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
-        self._drives = "was not sent to any place"
+        self._drives = "was not told to move"
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()

@@ -517,7 +517,7 @@ def _stokes_shift(colour: PaintColour, paints: Sequence[PaintStandIn]) -> PaperS
     return PaperStatement(
         subject=f"Stokes shift, {colour} paint",
         paper=f"{printed:.0f} nm, chosen by hand from reflectance data",
-        measure="between the maxima (and between the emission's and all of the absorption plateau)",
+        measure="between the maxima (in brackets: from the ends of the absorption plateau)",
         ours=_each(
             paints,
             lambda p: f"{p.stokes_shift_nm:.0f} nm ({p.stokes_shift_low_nm:.0f} to {p.stokes_shift_high_nm:.0f} nm)",
@@ -549,7 +549,7 @@ def _share_of_light(paints: Sequence[PaintStandIn]) -> PaperStatement:
     low, high = PRINTED_BAND
     least, most = min(p.energy_yield for p in paints) / high, max(p.energy_yield for p in paints) / low
     return PaperStatement(
-        subject="reradiation, read as share of the light",
+        subject="reradiation, if the percentage is the share of all light",
         paper=_printed_band(),
         measure="all emitted light / the laser's light",
         ours=_each(
@@ -662,7 +662,8 @@ def _patch(colour: PaintColour, paints: Sequence[PaintStandIn]) -> PaperStatemen
         measure="closest of 24 patches by reflectance",
         ours=_each(paints, words),
         verdict=("holds in part" if any(named) else "does not hold") if testable else "cannot be tested",
-        why="even the closest patch misses the measured reflectance by far more than a measurement does: measure it"
+        why="even the closest patch differs from the measured reflectance by far more than a measurement's error: "
+        "measure the paint"
         if testable
-        else "the stand-ins fluoresce green but look yellow by daylight; even their closest patch misses by far",
+        else "the stand-ins fluoresce green but look yellow by daylight; even their closest patch is far off",
     )

@@ -189,7 +189,9 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the mesh of the finger has no mirror symmetry, so its halves cannot train each other")
+        raise SimulateError(
+            "the mesh of the finger is not symmetric about its middle plane x = 0, which training a surrogate needs"
+        )
     return np.asarray(image)
 
 
@@ -228,7 +230,9 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("in every press ribs pass through each other from the start, so none can be trained on")
+        raise SimulateError(
+            "in every press ribs pass through each other from the start, so none can be used for training"
+        )
     return whole
 
 
@@ -622,8 +626,8 @@ class SurrogateFinger:
             pressure_mpa=last.contact.pressure_mpa * float(last.force_n[1] / last.contact.force_n[1]),
             touch_mm=last.contact.touch_mm,
             unreached="",
-            contact="contact on the finger condensed to its coat, frictionless; strains and bending learned from "
-            "presses with penalty contact",
+            contact="frictionless contact, computed with the finger condensed to its coat; strains and bending "
+            "learned from presses with penalty contact",
             kind="penalty",
         )
 
@@ -656,7 +660,8 @@ class SurrogateFinger:
         notes = (
             f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
             f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of finite elements",
-            "it gives no energies; pressures are those of the condensed contact, scaled to add up to the force",
+            "the surrogate gives no energies; its pressures are those of the condensed finger, scaled to add up to "
+            "the force",
         )
         return pressed, bars, notes, last.doubt
 

@@ -279,9 +279,9 @@ def _cells(sensor: PlainSensor, seen_mm: Floats) -> list[NDArray[np.bool_]]:
             found.append(cell)
     if 2 * len(found) < np.prod(shape):
         raise SimulateError(
-            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad by {_LEAST_PIXELS} pixels, "
-            "but at least half are needed; check camera.distance_mm, camera.field_of_view_deg and the size "
-            "of the picture"
+            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad with at least {_LEAST_PIXELS} pixels, "
+            "but half of the cells are needed; check camera.distance_mm, camera.field_of_view_deg and the size of the "
+            "picture"
         )
     return found
 

@@ -111,7 +111,7 @@ def mould_solid(design: FingerDesign, sizes: MouldSizes) -> Solid:
     """
     if design.pad.package is not None:
         raise SimulateError(
-            f'pad.shape = "{design.pad.shape}" is one of {design.pad.package}, which finray cannot write '
+            f'pad.shape = "{design.pad.shape}" comes from {design.pad.package}, which finray cannot write '
             "as STEP; write the mould as STL"
         )
     pad = _lined(design.pad, sizes.lining_mm)

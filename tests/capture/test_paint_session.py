@@ -332,9 +332,13 @@ def test_wheel_that_slips_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Pa
 
 def test_light_that_does_not_obey_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
     with open_rig(rig, Path()) as opened:
-        with pytest.raises(CaptureError, match=r"laser: reads back off where the step needs the light state 'laser'"):
+        with pytest.raises(
+            CaptureError, match=r"laser: reports that it is off, but the state that this step needs is 'laser'"
+        ):
             capture(replace(opened, laser=StuckLight(on=False)), rig, plan, tmp_path / "a")
-        with pytest.raises(CaptureError, match=r"lamp: reads back on where the step needs the light state 'laser'"):
+        with pytest.raises(
+            CaptureError, match=r"lamp: reports that it is on, but the state that this step needs is 'laser'"
+        ):
             capture(replace(opened, lamp=StuckLight(on=True)), rig, plan, tmp_path / "b")
 
 

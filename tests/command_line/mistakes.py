@@ -386,7 +386,7 @@ CASES = (
     Case(
         "paint without a name",
         BAD_PLAN,
-        r"plan\.toml: plan\.paint_name: is empty; write the name for files and records",
+        r"plan\.toml: plan\.paint_name: is empty; write a name, which files and records will carry",
         edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
     ),
     Case(
