@@ -201,7 +201,7 @@ def find_plug_in(kind: PlugInKind, name: str, ours: Iterable[str] = ()) -> PlugI
     if len(found) > 1:
         raise kind.error(
             f"{kind.noun} '{name}' is offered by {' and by '.join(sorted(one.source for one in found))}, and finray "
-            f"cannot know which one you mean; uninstall one of them, or ask its author for another name"
+            "cannot know which one you mean; uninstall one of them, or ask the author of one to rename it"
         )
     return found[0]
 

@@ -157,8 +157,8 @@ def find_driver(kind: Kind, name: str) -> Driver:
         packages = [f"{driver.package} {driver.version}".rstrip() for driver in table[name]]
         others = [driver.package for driver in table[name] if not driver.is_ours]
         raise RefusedError(
-            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which "
-            f"one you mean; run 'pip uninstall {others[-1]}', or ask its author for another name"
+            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which one you "
+            f"mean; run 'pip uninstall {others[-1]}', or ask the author of that package to rename the driver"
         )
     return table[name][0]
 

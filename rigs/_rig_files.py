@@ -156,7 +156,7 @@ def write_tactile_rig(rig: TactileRig, path: Path) -> Path:
         if part is not None
     ]
     kinds: dict[str, Kind] = {"camera": "camera", "stage": "stage", "load_cell": "load cell"}
-    text = f"""# A rig that presses a finger. Every value has its unit in its name; places are machine coordinates.
+    text = f"""# A rig that presses a finger. Every value has its unit in its name; positions are machine coordinates.
 name = {_quoted(rig.name)}
 schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
 """
@@ -186,9 +186,9 @@ _TO_FILL_IN: Final[dict[Role, str]] = {
     "address",
 }
 _ALWAYS: Final = (
-    "laser: compare wavelength_nm, power_mw and laser_class with its label; it is not switched on until the file "
-    "states them",
-    "filter_wheel.filters: correct the slots, and the centres and uncertainties where there is a certificate",
+    "laser: compare wavelength_nm, power_mw and laser_class with the laser's label; a laser is not switched on unless "
+    "the file states them",
+    "filter_wheel.filters: correct the slots, and if you have certificates the centres and their uncertainties",
     "camera: width, height, bit_depth and the three noise figures are those of the camera of the GelSight Fin Ray "
     "paper",
 )
@@ -254,7 +254,7 @@ _WHEEL: Final = {
 }
 _FILTER: Final = {
     "slot": "as on the wheel, from 1",
-    "name": "as plans call it",
+    "name": "name that plans use",
     "center_nm": "centre wavelength, nm",
     "center_uncertainty_nm": "its standard uncertainty, nm",
     "fwhm_nm": "full width at half maximum, nm",
@@ -435,7 +435,7 @@ def _paint_plan_toml(plan: PaintPlan) -> str:
     if plan.second_tilt_deg is not None and plan.second_tilt_filters is not None:
         tilt = f"""second_tilt_deg = {plan.second_tilt_deg!r}
 second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
-    return f"""# A paint session: white tile, sample beside a ColorChecker, sample; through all filters of the rig.
+    return f"""# A paint session: the white tile, the sample beside a ColorChecker, then the sample, each through all filters.
 schema_version = {plan.schema_version}
 kind = "{plan.kind}"
 paint_name = {_quoted(plan.paint_name)}
@@ -444,13 +444,13 @@ paint_name = {_quoted(plan.paint_name)}
 excitation_filter = {_quoted(plan.excitation_filter)}
 # brightest pixel of the region, as a fraction of full scale
 target_fraction = {plan.target_fraction!r}
-# exposures of each step relative to the metered one
+# exposures of each step, as multiples of the metered exposure
 bracket = [{", ".join(repr(factor) for factor in plan.bracket)}]
 darks_per_exposure = {plan.darks_per_exposure}
 # second angle between the laser beam and the sample's normal, and the two filters used at it
 {tilt}
 
-# The painted (and white) area in pixels of the raw frame.
+# The area that is evaluated (paint, or white tile), in pixels of the raw frame.
 """
 
 

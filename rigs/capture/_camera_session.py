@@ -467,7 +467,7 @@ def level_notes(saturation_s: dict[str, float], plan: CameraPlan, camera: Camera
             )
         elif sat_s > LARGEST_CHANNEL_RATIO * first_s:
             notes.append(
-                f"{name} saturates {sat_s / first_s:.0f} times later than the brightest channel: charge that spills "
-                "over from saturated neighbours may disturb it"
+                f"{name} saturates only at {sat_s / first_s:.0f} times the exposure at which the brightest channel "
+                "saturates: charge that spills over from saturated neighbours may disturb it"
             )
     return tuple(notes)

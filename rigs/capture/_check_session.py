@@ -186,10 +186,10 @@ class CheckFrames:
         with shine(self._opened, "lamp"):
             if not self.shows(band):
                 raise CaptureError(
-                    f"camera: the white tile behind filter {band.name} differs by more than "
-                    f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the wheel slipped, the "
-                    "lamp changed, or the camera does not expose for as long as it reports. Repair the wheel if its "
-                    "results failed, let the lamp warm up, switch the camera off and on, then check again"
+                    f"camera: the white tile behind filter {band.name} differs by more than {100 * AS_METERED_REL:.0f} "
+                    "% from its metering at the same exposure: the wheel slipped, the lamp changed, or the camera "
+                    "does not expose for as long as it reports. Repair the wheel if its checks failed, let the lamp "
+                    "warm up, switch the camera off and on, then check again"
                 )
 
     def brightest_filter(self) -> BandPassFilter:

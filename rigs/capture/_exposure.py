@@ -374,13 +374,13 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reads no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
+            f"filter wheel: reports no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
             "wheel is moving or was reconnected: check whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(
-            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, but slot {step.slot} "
-            "is needed; the wheel slipped or is not where the operator left it: home it and start again"
+            f"filter wheel: reports slot {position} {when} the exposure of {step.label}, but slot {step.slot} is "
+            "needed; the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position
 

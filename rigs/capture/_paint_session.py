@@ -185,10 +185,10 @@ class PaintRecorder:
         for step in (step for step in lit if step.label in self._before):  # none where all was set aside
             exposures_s, before = self._before[step.label]
             if not self._store.are_same(self._rates[step], before, exposures_s[0]):
-                return f"{step.label} gave another signal before the repair"
+                return f"{step.label} gave a different signal before the repair"
             now, old = self._metered(step), Metered(before, exposures_s[0] / max(self._plan.bracket))
             if self._store.other_colour(step, now, old) is not None:  # or its frames would be refused for ever
-                return f"{step.label} showed another colour before the repair"
+                return f"{step.label} showed a different colour before the repair"
         places = {(step.frame_type, step.filter_name, step.tilt_deg): step for step in lit}
         for frame in self._store.frames:
             kind = "fluorescence" if frame.frame_type == "fluorescence repeat" else frame.frame_type

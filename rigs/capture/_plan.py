@@ -272,10 +272,12 @@ def tactile_shots(plan: TactilePlan, camera: CameraSettings, presses: int) -> tu
     exposures_s = plan.bracket_s(camera)
     allowed = f"{camera.shortest_exposure_s:g} to {camera.longest_exposure_s:g} s"
     if not exposures_s:
-        raise CaptureError(f"plan.bracket_powers: none of its exposures is within {allowed}, which the rig allows")
+        raise CaptureError(
+            f"plan.bracket_powers: none of its exposures is within {allowed}, which the rig allows; change the powers"
+        )
     outside = [t for t in exposures_s if not camera.shortest_exposure_s <= t <= camera.longest_exposure_s]
     if outside:
-        raise CaptureError(f"plan.exposures_s: {outside[0]:g} s is out of range; the rig allows {allowed}")
+        raise CaptureError(f"plan.exposures_s: {outside[0]:g} s is out of range; the rig allows {allowed}: correct it")
     groups: list[tuple[TactileFrameType, int, int]] = []
     if plan.board is not None:
         groups += [("board", place, 1) for place in range(1, plan.board.images + 1)]

@@ -315,7 +315,7 @@ class WatchedSession(SessionWatch):
 
     def mend(self, what: str) -> bool:
         """Have something mended; return whether it is done."""
-        text = f"{what}. The lights are off. Repair it and close the box, or end here."
+        text = f"{what}. The lights are off. Repair the fault and close the box, or end here."
         is_mended = self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
         if is_mended:
             self._publish(headline="METERING", text="all steps are metered again", phase="metering", done=0)

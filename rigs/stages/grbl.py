@@ -63,7 +63,7 @@ _ALARMS: Final = {
     10: "homing found no second switch of a double axis",
 }
 _ERRORS: Final = {
-    2: "a number has a wrong form",
+    2: "a number has the wrong format",
     3: "it does not know this command",
     5: "homing is switched off in it ($22)",
     8: "it is not idle",
@@ -253,7 +253,9 @@ class GrblStage:
             watch()
             now_s = time.monotonic()
             if now_s > end_s:
-                raise TimedOutError(f"{self._name}: {axis} did not arrive at {to_mm:.3f} mm in time")
+                raise TimedOutError(
+                    f"{self._name}: {axis} did not arrive at {to_mm:.3f} mm in time; check motor and switches"
+                )
             if now_s - heard_s > ANSWER_WITHIN_S or (not is_taken and now_s - taken_s > TAKEN_WITHIN_S):
                 raise TimedOutError(f"{self._name}: did not answer in time while it moved; check its cable and supply")
             line = self._line_now()
@@ -265,10 +267,14 @@ class GrblStage:
                 arrivals = arrivals + 1 if is_there and is_taken else 0
                 if report.state not in ("Idle", "Jog", "Run"):
                     self._is_known = False
-                    raise LostError(f"{self._name}: is in state {report.state} in the middle of a move")
+                    raise LostError(
+                        f"{self._name}: is in state {report.state} in the middle of a move; check the "
+                        "controller, then home the stage"
+                    )
                 if report.state == "Idle" and is_taken and not is_there and now_s - taken_s > START_WITHIN_S:
                     raise WrongPositionError(
-                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm"
+                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm; check its "
+                        "motor"
                     )
                 is_asked = False
             # a question whose answer nobody waits for would answer the next one

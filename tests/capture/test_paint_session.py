@@ -322,12 +322,12 @@ def test_wheel_that_slips_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Pa
     """It is sent again; a wheel that slips every time ends the session."""
     with (
         open_rig(rig, Path()) as opened,
-        pytest.raises(WrongPositionError, match=r"reads slot 7 before the exposure .*slot 8 is needed.*4 attempts"),
+        pytest.raises(WrongPositionError, match=r"reports slot 7 before the exposure .*slot 8 is needed.*4 attempts"),
     ):
         capture(replace(opened, wheel=SlippingWheel(opened.wheel, reading)), rig, plan, tmp_path)
     refused = [line["text"] for line in read_journal(tmp_path) if line["event"] == "refused"]
     assert len(refused) == 3
-    assert f"reads slot 7 {when} the exposure of" in refused[0]
+    assert f"reports slot 7 {when} the exposure of" in refused[0]
 
 
 def test_light_that_does_not_obey_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
