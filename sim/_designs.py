@@ -152,7 +152,7 @@ def preset_design(name: str) -> FingerDesign:
         When there is none of this name; the message lists them.
     """
     if name not in PRESETS:
-        raise SimulateError(f"there is no preset design '{name}'; there are {', '.join(PRESETS)}")
+        raise SimulateError(f"there is no preset design '{name}'; the preset designs are {', '.join(PRESETS)}")
     return PRESETS[name][1](name)
 
 
@@ -325,7 +325,7 @@ def read_design(path: Path) -> FingerDesign:
         preset = written.pop("preset", None)
         if tables.get("kind") == "sensor":
             raise RecordError(
-                f"{path}: is the design of a classic sensor, where that of a finger is needed; 'finray design init "
+                f"{path}: is the design of a classic sensor, but the design of a finger is needed; 'finray design init "
                 "flat-70x35' writes one"
             )
         if preset is None:
@@ -568,7 +568,7 @@ def preset_sensor(name: str) -> PlainSensor:
         When there is none of this name; the message lists them.
     """
     if name not in SENSORS:
-        raise SimulateError(f"there is no preset sensor '{name}'; there are {', '.join(SENSORS)}")
+        raise SimulateError(f"there is no preset sensor '{name}'; the preset sensors are {', '.join(SENSORS)}")
     return SENSORS[name][1](name)
 
 

@@ -221,7 +221,7 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
     # a barrier's indenter is one node more
     if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
         raise SimulateError(
-            "the stored increment has another mesh of this design, which another version made; press from the start"
+            "the stored increment has a different mesh of this design, made by another version; press from the start"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
 

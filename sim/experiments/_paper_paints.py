@@ -607,7 +607,7 @@ def _whole_emission(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="emission curve, from the whole spectrum",
         paper=CURVE,
-        measure=f"error of the curve fitted to the whole emission (of our log-normal); {GOOD}",
+        measure=f"error of the curve fitted to the whole emission (in brackets: of our log-normal); {GOOD}",
         ours=_each(
             paints, lambda p: f"{_percent(p.paper_curve.residual_rel, 1)} ({_percent(p.our_curve.residual_rel, 1)})"
         ),
@@ -625,7 +625,7 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="emission curve, from eight filter bands",
         paper=CURVE + ", fitted by hand to eight bands",
-        measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
+        measure=f"error of the curve, {GOOD} (in brackets: share of the measured emission in the 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),
         verdict=_verdict([p.paper_fit.residual_rel <= GOOD_FIT_REL for p in paints]),
         why="between and beyond the bands the equation determines the curve, and real paint differs from it by more "

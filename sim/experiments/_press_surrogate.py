@@ -552,7 +552,7 @@ class SurrogateFinger:
         """
         record = self.record
         if why := record.family.outside(indenter):
-            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change this value, or press by finite elements")
         design = record.design.model_copy(update={"indenter": indenter})
         contact = self.finger.press(rigid_indenter(design), indenter.depth_mm)
         place = record.family.features(indenter)[None]
@@ -645,7 +645,7 @@ class SurrogateFinger:
         """
         self.check_design(design)
         if why := self.record.family.outside(design.indenter):
-            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change this value, or press by finite elements")
         depth, least = design.indenter.depth_mm, self.record.family.depth_mm[0]
         pushes = [push for k in range(increments) if (push := depth * (k + 1) / increments) >= least]
         answers = [self.press(design.indenter.model_copy(update={"depth_mm": push})) for push in pushes]

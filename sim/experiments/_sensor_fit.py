@@ -105,7 +105,7 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
             if getattr(capture, name) != getattr(first, name):
                 raise SimulateError(
                     f"{capture.name}: {name} = {getattr(capture, name)} differs from {getattr(first, name)} of "
-                    f"{first.name}; one gain holds for all captures: give those of one setting"
+                    f"{first.name}; one gain holds for all captures: give captures of one setting"
                 )
         if capture.contact.shape != first.contact.shape:
             raise SimulateError(f"{capture.name} and {first.name} differ in size; give captures of one camera")

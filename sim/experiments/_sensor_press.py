@@ -233,7 +233,7 @@ def _require_gel(height_mm: Floats, what: str) -> None:
     if lowest < _THINNEST_GEL_MM:
         raise SimulateError(
             f"{what} reaches down to {lowest:.4g} mm above the inner face; at least {_THINNEST_GEL_MM:g} mm of gel "
-            "must be left (check unit_mm, and whether holds is depth or height)"
+            "must be left (check unit_mm, and whether surface.holds is depth or height)"
         )
 
 

@@ -135,7 +135,7 @@ def tolerance_inputs(
                 f"the design, with the axis last for a place; usual are {', '.join(ranges)}"
             )
         if not (np.isfinite(size) and size >= 0.0):
-            raise SimulateError(f"--vary {field}={size:g}: a half-range is 0 (left out) or more")
+            raise SimulateError(f"--vary {field}={size:g}: a half-range must be 0 (the number is left out) or more")
         ranges[field] = (size, "given")
     return tuple(
         ToleranceInput(field, float(_nominal(design, paints, field) or 0.0), float(size), _unit(field), origin)

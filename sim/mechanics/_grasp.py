@@ -202,7 +202,9 @@ class _GrippingFinger:
         except NoEquilibriumError as stuck:
             if not stuck.reason:  # the time is up
                 raise
-            raise NoEquilibriumError(f"a finger finds no equilibrium: {stuck.reason}; close with less force") from stuck
+            raise NoEquilibriumError(
+                f"no equilibrium of a finger was found: {stuck.reason}; close with less force"
+            ) from stuck
         return self._on_object(self._found.state.u_mm)
 
     def _on_object(self, u: FloatArray) -> FloatArray:

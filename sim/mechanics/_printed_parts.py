@@ -59,7 +59,8 @@ class MouldSizes:
             )
         if not 0.0 <= self.lining_mm <= 1.0:
             raise SimulateError(
-                f"lining_mm = {self.lining_mm:g} of a mould must be 0 to 1 mm: the sheet laid on its bottom"
+                f"lining_mm = {self.lining_mm:g} of a mould must be 0 to 1 mm: the thickness of the sheet that is laid "
+                "on the mould's floor"
             )
 
 

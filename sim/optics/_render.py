@@ -546,7 +546,8 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType, settings: RenderSe
         )
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
         raise SimulateError(
-            "light.beam_exponent: a scalar variant renders Lambertian panels (1) only; take 1, or install LLVM 17+"
+            "light.beam_exponent: a scalar variant renders Lambertian panels (beam_exponent = 1) only; set it to 1, "
+            "or install LLVM 17+"
         )
 
 

@@ -166,7 +166,7 @@ def test_a_stored_increment_must_fit(halfway):
     with pytest.raises(SimulateError, match=r"another design: it differs in name; only indenter\.depth_mm may"):
         stored_press(record, softer)
     moved = record.model_copy(update={"nodes_mm": record.nodes_mm + 0.1})
-    with pytest.raises(SimulateError, match="has another mesh of this design"):
+    with pytest.raises(SimulateError, match="has a different mesh of this design"):
         stored_press(moved, to_depth(3.0))
     assert record.contact == "penalty"
     with pytest.raises(SimulateError, match=r"pressed with --contact penalty, .* with --contact barrier; give"):
