@@ -152,7 +152,7 @@ def preset_design(name: str) -> FingerDesign:
         When there is none of this name; the message lists them.
     """
     if name not in PRESETS:
-        raise SimulateError(f"there is no preset design '{name}'; the preset designs are {', '.join(PRESETS)}")
+        raise SimulateError(f"there is no preset design '{name}'; there are {', '.join(PRESETS)}")
     return PRESETS[name][1](name)
 
 
@@ -568,7 +568,7 @@ def preset_sensor(name: str) -> PlainSensor:
         When there is none of this name; the message lists them.
     """
     if name not in SENSORS:
-        raise SimulateError(f"there is no preset sensor '{name}'; the preset sensors are {', '.join(SENSORS)}")
+        raise SimulateError(f"there is no preset sensor '{name}'; there are {', '.join(SENSORS)}")
     return SENSORS[name][1](name)
 
 

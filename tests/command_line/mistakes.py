@@ -380,7 +380,7 @@ CASES = (
     Case(
         "classic sensor for a finger",
         "simulate press {tmp}/sensor.toml",
-        r"sensor\.toml: is the design of a classic sensor, where that of a finger is needed; 'finray design init flat",
+        r"sensor\.toml: is the design of a classic sensor, but the design of a finger is needed; 'finray design init",
         file("sensor.toml", 'kind = "sensor"\npreset = "digit"\n'),
     ),
     Case(
