@@ -380,7 +380,8 @@ class TactileCapture(Record):
     def _images_agree(self) -> "TactileCapture":
         if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
             raise ValueError(
-                "contact_outline: needs 3 corners or more, and replaces contact_circle; leave out the circle"
+                "contact_outline: needs 3 corners or more, and cannot be given together with contact_circle; leave "
+                "contact_circle out"
             )
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
@@ -432,12 +433,15 @@ class TactileRig(Record):
             raise ValueError("simulated and real devices cannot share a rig; name real drivers for all, or for none")
         if self.is_simulated and (self.stage is None or self.simulated is None):
             raise ValueError(
-                "camera.driver: the simulated bench holds no finger without [simulated], [stage] and [load_cell] "
-                "tables: 'finray rig init --preset simulated-finger' writes them; or simulate a press with 'finray "
-                "simulate render'"
+                "camera.driver: a simulated camera needs the tables [simulated], [stage] and [load_cell] of a "
+                "simulated finger: 'finray rig init --preset simulated-finger' writes them. Without a rig, simulate a "
+                "press with 'finray simulate render'"
             )
         if self.stage is not None and self.load_cell is not None and self.stage.address == self.load_cell.address != "":
-            raise ValueError(f"stage and load_cell are both at {self.stage.address}; a serial port holds one device")
+            raise ValueError(
+                f"stage and load_cell are both at {self.stage.address}; a serial port holds one device "
+                "only: correct one of the addresses"
+            )
         return self
 
 

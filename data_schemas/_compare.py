@@ -285,7 +285,7 @@ class CauseParameter(Model):
     name: str
     unit: str
     value: float
-    u: NotNegative = Field(description="standard uncertainty from noise and from what no cause explains")
+    u: NotNegative = Field(description="standard uncertainty from noise and from errors that no cause explains")
 
 
 class ErrorCause(Model):

@@ -411,7 +411,10 @@ class FingerTolerances(Record):
     @model_validator(mode="after")
     def _one_column_a_row(self) -> "FingerTolerances":
         if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
-            raise ValueError(f"inputs {self.inputs.shape} for {len(self.losses_rel)} runs of {len(self.rows)} numbers")
+            raise ValueError(
+                f"inputs has shape {self.inputs.shape}, but there are {len(self.losses_rel)} runs of "
+                f"{len(self.rows)} numbers"
+            )
         return self
 
 

@@ -628,12 +628,12 @@ class OgdenSolid(Rubber):
         if sum(self.mu_mpa) <= 0.0:
             raise ValueError(
                 f"mu_mpa: the initial shear modulus, their sum, is {sum(self.mu_mpa):g} MPa and must be positive; "
-                "constants of the form mu / alpha (...) must be multiplied by alpha / 2"
+                "constants of an energy with the factor mu / alpha must be multiplied by alpha / 2"
             )
         try:
             check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")
         except ValueError as outside:
-            raise ValueError(f"mu_mpa: the initial shear modulus, their sum: {outside}") from None
+            raise ValueError(f"mu_mpa: the initial shear modulus (the sum): {outside}") from None
         return self
 
 

@@ -160,7 +160,7 @@ class PlugIn:
             names = [p.name if p.default is p.empty else f"{p.name} (by default {p.default})" for p in taken]
             raise self.kind.error(
                 f"{self.label} takes the parameters {', '.join(names) or 'none'}, but the design gives "
-                f"{', '.join(parameters) or 'none'}: correct parameters beside the name"
+                f"{', '.join(parameters) or 'none'}: correct the parameters in the design"
             ) from None
 
 

@@ -533,7 +533,7 @@ class StageSettings(Model):
             raise ValueError(f"press_axis and pad_axis are both {self.press_axis}; name the two axes of the stage")
         for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
             if low >= high:
-                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest place first")
+                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest position first")
         if self.touch_step_mm > self.step_mm:
             raise ValueError(
                 f"touch_step_mm = {self.touch_step_mm:g} mm must not exceed step_mm = {self.step_mm:g} mm, the longest "
@@ -654,13 +654,15 @@ class RigFile(Record):
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
-                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one"
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one "
+                "of the two"
             )
         wheel = self.filter_wheel
         for role, light in (("laser", self.laser), ("lamp", self.lamp)):
             if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
                 raise ValueError(
-                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct one"
+                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device only; "
+                    "correct one of the addresses"
                 )
         return self
 

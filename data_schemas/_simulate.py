@@ -91,7 +91,7 @@ class SimulatedPress(Record):
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
-    label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
+    label: str = Field(description="how the images were made, for example 'rendered, level b, llvm_ad_rgb'")
     method: Literal["rendered", "table"]
     encoding: Literal["linear", "unknown"]
     no_contact: Image

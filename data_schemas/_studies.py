@@ -350,7 +350,7 @@ class StudyVariation(Model):
     @model_validator(mode="after")
     def _values_or_range(self) -> "StudyVariation":
         if bool(self.values) == (self.low is not None or self.high is not None):
-            raise ValueError(f"vary {self.field}: give values, or low and high of a random study")
+            raise ValueError(f"vary {self.field}: give either values, or low and high (combine = 'random')")
         if not self.values and (self.low is None or self.high is None or self.low >= self.high):
             raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
         return self

@@ -77,7 +77,7 @@ def test_senseless_board_is_refused(board, message):
 
 
 def test_rig_of_the_simulated_bench_is_refused(tmp_path):
-    with pytest.raises(RecordError, match="the simulated bench holds no finger"):
+    with pytest.raises(RecordError, match="a simulated camera needs the tables"):
         rig_of(tmp_path, 'name = "bench"\n[camera]\n')
 
 
