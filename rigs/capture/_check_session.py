@@ -535,8 +535,10 @@ class _Recorder(CheckRecorder[CheckFacts]):
             self._ended = f"a light does not report whether it is off ({error})"
             return
         if on:
-            self._errors[section] = f"{on[0]}: still reports that it is on at the end of this part of the check; pull "
-            "its plug before you open the box"
+            self._errors[section] = (
+                f"{on[0]}: still reports that it is on at the end of this part of the check; pull "
+                "its plug before you open the box"
+            )
             self._ended = f"the {on[0]} is on"
 
     def _block_layer(self, opened: OpenRig) -> None:

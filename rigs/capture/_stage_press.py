@@ -191,8 +191,10 @@ class StagePress:
         try:
             self._stage.stop()
             if (places := self._stage.places_mm()) is None:
-                told = "does not know its position after the stop; move the indenter off the pad by hand, then home "
-                "the stage"
+                told = (
+                    "does not know its position after the stop; move the indenter off the pad by hand, then home "
+                    "the stage"
+                )
             elif stage.into_pad * (places[stage.press_axis] - stage.clear_mm) < -LEAST_STEP_MM:
                 told = (
                     f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm, and clear_mm = "

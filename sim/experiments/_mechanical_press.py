@@ -236,8 +236,9 @@ def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: Fi
     had, has = record.points_per_side or 2, math.isqrt(points.places.shape[1])
     at_border = np.flatnonzero((points.places != face_points(coat, has, to_border=False).places).any(axis=(1, 2)))
     if had != has:
-        other = f"at {had} x {had} points of each face of the coat; with this indenter, contact now acts at {has} x "
-        f"{has}"
+        other = (
+            f"at {had} x {had} points of each face of the coat; with this indenter, contact now acts at {has} x {has}"
+        )
     elif not record.points_on_border and _touches(record, indenter, mesh, at_border):
         other = "at no point of the coat's border, which the indenter touches here and where contact now acts too"
     else:
