@@ -172,7 +172,7 @@ class CaptureSession(Record):
     rig: RigFile
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(
-        default={}, description="measured transmission of the filters that name one, by the filter's name"
+        default={}, description="measured transmission of each filter that names a curve, by the filter's name"
     )
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
@@ -536,8 +536,8 @@ class TactilePlan(Record):
     )
     bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
         default=None,
-        description="in place of 'exposures_s': all powers of two of a microsecond from the first to the last that the "
-        f"rig's camera allows, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
+        description="in place of 'exposures_s': exposures of 2^n microseconds for all n from the first to the last "
+        "number, where the rig's camera allows them, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
     )
     led_current_ma: CurrentMa = Field(description="current of the blue LED panel")
     light_angle_deg: AngleDeg = Field(description="measured angle of the panel's normal from the pad plane")

@@ -63,14 +63,15 @@ class CheckLimits(AnswerLimits):
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
     )
     read_noise_rel: LimitRel = Field(
-        default=0.25, description="largest difference of the read noise from read_noise_e, relative to it"
+        default=0.25, description="largest difference of the read noise from read_noise_e, relative to read_noise_e"
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
         default=2.0, description="largest growth of the dark level with the exposure: dark current and leaking light"
     )
     exposure_ratio_rel: LimitRel = Field(
         default=0.01,
-        description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
+        description="largest deviation of the signals at 2 t and 4 t from 2 and 4 times the signal at t, relative to "
+        "these multiples",
     )
     lamp_drift_rel: LimitRel = Field(
         default=0.01, description="largest change of the lamp from the first to the last round of white frames"
@@ -171,7 +172,7 @@ class PressLimits(AnswerLimits):
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
     cell_rate_rel: LimitRel = Field(
-        default=0.2, description="largest difference of the readings a second from rate_hz, relative to that"
+        default=0.2, description="largest difference between the readings per second and rate_hz, relative to rate_hz"
     )
     stage_overhead_s: PositiveS = Field(
         default=1.0, description="longest time that a move takes beyond distance / speed"
@@ -193,11 +194,13 @@ class PressLimits(AnswerLimits):
     )
     factor_rel: LimitRel = Field(
         default=0.02,
-        description="largest difference of the calibrated force of a known mass from its weight, relative to that",
+        description="largest difference between the calibrated force of a known mass and its weight, relative to the "
+        "weight",
     )
     scale_rel: LimitRel = Field(
         default=0.01,
-        description="largest difference of a travel, by camera or gauge block, from the commanded one, relative to it",
+        description="largest difference between a travel, by camera or gauge block, and the commanded travel, "
+        "relative to the latter",
     )
 
 
@@ -548,13 +551,14 @@ class StageStop(Model):
     stood_mm: float | None = Field(description="position at rest that it reported; None: its position was unknown then")
     still_after_s: DurationS | None = Field(
         default=None,
-        description="time until the cell measured no more motion; None: it could not be measured, or was not requested",
+        description="time until the cell's force showed no more motion; None: it could not be measured, or was not "
+        "requested",
     )
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
     unseen_creep_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None,
-        description="speed at which the stage could creep unseen by the cell, relative to that of the move; None: not "
-        "known",
+        description="speed at which the stage could creep without the cell noticing, relative to the speed of the "
+        "move; None: not known",
     )
 
 
@@ -563,10 +567,11 @@ class MovingStop(Model):
 
     limit_n: ForceN
     way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
-    unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
+    unstopped_n: float = Field(description="settled force at the end of the move, as reached in steps before")
     peak_n: float = Field(description="largest force that the cell reported until the stage was at rest, and after")
     stopped_at_n: float | None = Field(
-        default=None, description="force at which the reading that passed the limit stopped the move; None: none did"
+        default=None,
+        description="first reading beyond the limit, which stopped the move; None: no reading was beyond it",
     )
     end_mm: float | None = Field(default=None, description="where the move would have ended; None: not recorded")
     stood_mm: float | None = Field(

@@ -314,10 +314,10 @@ class ErrorAttribution(Model):
     noise_skill: float = Field(
         description="part that is noise of render and capture, known or from neighbouring pixels; 0 where removed"
     )
-    remainder_skill: float = Field(description="part that is explained by none of these")
+    remainder_skill: float = Field(description="part that neither saturation, noise nor a cause explains")
     maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
         description="what each cause changes in the image, mean over channels, relative to the pad's level; None "
-        "without a cause"
+        "where no cause was found"
     )
 
 

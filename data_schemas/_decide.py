@@ -287,7 +287,9 @@ class PaintPairRow(Model):
     green: str = Field(description="paint of the green wall")
     normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
     above_best_deg: Estimate = Field(description="error minus that of the best pair, draw by draw")
-    is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
+    is_worse: bool = Field(
+        description="whether the difference from the best pair is significant, at 95 % for all pairs together"
+    )
     best_share: Fraction = Field(description="share of the draws in which this pair is the best")
     separation_deg: Annotated[float, Field(ge=0.0)] = Field(
         description="angle between the colours of facets tilted to opposite sides"
@@ -330,7 +332,7 @@ class ToleranceSide(Model):
     tried: float = Field(description="largest distance that was evaluated")
     ended_by: str = Field(
         default="",
-        description="why no larger distance was evaluated: the reason for which the design could not be built",
+        description="why no larger distance was evaluated: the reason why the design cannot be built there",
     )
     checked_loss_rel: float | None = Field(
         default=None, description="growth of the error at the limit, with other paths, draws and noise"

@@ -272,8 +272,8 @@ class LampSettings(Model):
     )
     temperature_uncertainty_k: Annotated[float, Field(ge=0.0, le=500.0)] = Field(
         default=50.0,
-        description="standard uncertainty of the lamp's colour temperature in kelvin, of a measured spectrum that of "
-        "its tilt; 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
+        description="standard uncertainty of the lamp's colour temperature in kelvin (for a measured spectrum: of its "
+        "tilt, as a temperature); 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
     )
 
     @property
@@ -490,8 +490,12 @@ class StageSettings(Model):
     model: str = ""
     press_axis: StageAxis = Field(default="Z", description="axis along the pad's normal")
     pad_axis: StageAxis = Field(default="X", description="axis along the pad")
-    into_pad: Literal[-1, 1] = Field(default=-1, description="sign in which the press axis moves into the pad")
-    from_base: Literal[-1, 1] = Field(default=1, description="sign in which the pad axis moves away from the base")
+    into_pad: Literal[-1, 1] = Field(
+        default=-1, description="direction (sign) in which the press axis moves into the pad"
+    )
+    from_base: Literal[-1, 1] = Field(
+        default=1, description="direction (sign) in which the pad axis moves away from the base"
+    )
     base_mm: PositionMm = Field(description="position of the pad axis with the indenter over the pad's base")
     clear_mm: PositionMm = Field(
         description="position of the press axis at which nothing touches, anywhere along the pad"

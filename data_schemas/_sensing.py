@@ -228,7 +228,7 @@ class SensedPress(Record):
     contact_depth_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
     deepest_mm: float = Field(description="largest depth")
     deepest_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        description="standard uncertainty of the largest depth, its level included"
+        description="standard uncertainty of the largest depth, including that of its zero level"
     )
     contact_area_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})]
     contact_area_u_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})] | None = Field(

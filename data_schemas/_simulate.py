@@ -575,9 +575,9 @@ class ObjectGrasp(Record):
         description="size of the unbalanced force on the object"
     )
     stiffness_n_per_mm: Annotated[float, Field(json_schema_extra={"unit": "N/mm"})] = Field(
-        description="least resistance to a move or turn of the object at the last increment, turns at half the pad's "
-        "width; negative: the slightest push squeezes it out or tips it over; 0: it can move freely in some "
-        "direction"
+        description="least resistance to a move or turn of the object at the last increment (a turn counts as a move "
+        "at half the pad's width); negative: the slightest push squeezes it out or tips it over; 0: it can move "
+        "freely in some direction"
     )
     lost: str = Field(description="why the fingers did not reach the requested force or weight; empty when they did")
     notes: tuple[str, ...] = ()

@@ -207,7 +207,7 @@ class StiffnessOrder(Model):
     smallest_ratio: float = Field(
         description="smallest ratio with the same dimension changed in both by the same share"
     )
-    at: str = Field(description="the change at which the ratio is smallest; empty for none")
+    at: str = Field(description="the change at which the ratio is smallest; empty: without any change")
     independent_ratio: float = Field(
         description="least stiffness of the stiffer finger / largest of the softer one, of all changes"
     )
@@ -376,7 +376,10 @@ class StudyMeasure(Model):
     @model_validator(mode="after")
     def _measures_something(self) -> "StudyMeasure":
         if self.press == "analytic" and not self.images:
-            raise ValueError('measure: press = "analytic" without images computes nothing; set one of them')
+            raise ValueError(
+                'measure: press = "analytic" without images computes nothing; set press = "finite elements" or '
+                "images = true"
+            )
         return self
 
 

@@ -358,7 +358,7 @@ class GrblStage:
                 if state in (report.state, f"{report.state}:{report.substate}"):
                     return state
             if time.monotonic() > end_s:
-                raise TimedOutError(f"{self._name}: is still in state {report.state}")
+                raise TimedOutError(f"{self._name}: is still in state {report.state}; check the controller")
             time.sleep(ASK_EVERY_S)
 
     def _line_now(self) -> str | None:

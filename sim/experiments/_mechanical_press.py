@@ -111,7 +111,7 @@ def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp) -> ObjectG
         lost=grasp.lost,
         notes=(
             grasp.near.contact,
-            "the object is rigid and of even density; the jaws are rigid, and nothing else touches the object; the "
+            "the object is rigid and of uniform density; the jaws are rigid, and nothing else touches the object; the "
             "least resistance to a move is computed with the friction limits of the last increment",
         ),
     )

@@ -380,6 +380,6 @@ def _check(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws]) -> None:
         raise SimulateError(f"a finger carries two paints, got {len(paints)}; give --paint FILE at least twice")
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "paints are compared on paths that are traced once for all of them, which needs a compiled variant; leave "
-            "out --engine scalar (LLVM must be installed)"
+            "to compare paints, paths are traced once for all of them, which needs a compiled variant of Mitsuba; "
+            "leave out --engine scalar (LLVM must be installed)"
         )

@@ -567,7 +567,8 @@ def _require_chains(press: SimulatedPress, before: PaintBands, after: PaintBands
     if not press.chains:
         raise SimulateError(
             f"{press.name} ({press.label}) does not hold each chain of fluorescence separately, as other paints need; "
-            "render with --level b in a compiled variant (--engine llvm), or change camera and white balance only"
+            "render with --level b in a compiled variant of Mitsuba (--engine llvm), or change camera and white "
+            "balance only"
         )
     require_same_reflectance(before.reflectance, after.reflectance)
     require_near_bands(before.bands, after.bands)

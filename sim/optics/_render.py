@@ -635,7 +635,9 @@ def pathwise_integrator(
 ) -> Any:
     """Return the integrator of level c; its channels are the bands, all chains of a band together."""
     if renderer.variant() == SCALAR_VARIANT:
-        raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
+        raise SimulateError(
+            "level c runs only in compiled variants of Mitsuba; install LLVM 17 or newer, or use --level b"
+        )
     from sim.optics._band_paths import band_paths  # these need the variant set
     from sim.optics._fluorescent_paths import fluorescent_bands
 
