@@ -347,7 +347,7 @@ class ColouredLight(Model):
     height_mm: LengthMm = 4.0
     power_rel: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=1.0, description="radiance along the normal")
     beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
-        default=1.0, description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
+        default=1.0, description="exponent m: intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
     )
     peak_wavelength_nm: WavelengthNm | None = Field(
         default=None, description="peak of the LED; used with a camera.response other than 'ideal', by default 630, "

@@ -334,7 +334,7 @@ class LightPanel(Model):
     )
     beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
         default=1.0,
-        description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian, and the half angle "
+        description="exponent m: intensity ~ cos^m of the angle from the normal; 1 is Lambertian, and the half angle "
         "of the beam is acos(0.5^(1/m)): 60, 45 and 33 deg for m = 1, 2 and 4",
     )
 

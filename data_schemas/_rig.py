@@ -77,8 +77,7 @@ class BandPassFilter(Model):
     peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     blocking_od: OpticalDensity = Field(
         default=5.0,
-        description="optical density of the lowest transmission, also for a measured curve; outside the curve's range "
-        "this is the transmission",
+        description="optical density of the lowest transmission; used alone outside the range of a measured curve",
     )
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
@@ -319,16 +318,11 @@ class WhiteReference(Model):
 class BandUncertainty(Model):
     """Relative standard uncertainties of band values besides the noise of frames; smaller only where measured."""
 
-    calibration_rel: TypeBUncertainty = Field(
-        default=0.01, description="error of a filter's value, common to its channels"
-    )
-    response_rel: TypeBUncertainty = Field(
-        default=0.003, description="error of a channel's response in a filter's band"
-    )
+    calibration_rel: TypeBUncertainty = Field(default=0.01, description="error of each filter, common to its channels")
+    response_rel: TypeBUncertainty = Field(default=0.003, description="error of a channel's response in a filter band")
     stray_light_rel: TypeBUncertainty = Field(
         default=0.003,
-        description="light that bypasses the filters, relative to the strongest signal of a filter other than the "
-        "laser's",
+        description="light that bypasses the filters, relative to the strongest signal but that of the laser's filter",
     )
 
 
@@ -490,12 +484,8 @@ class StageSettings(Model):
     model: str = ""
     press_axis: StageAxis = Field(default="Z", description="axis along the pad's normal")
     pad_axis: StageAxis = Field(default="X", description="axis along the pad")
-    into_pad: Literal[-1, 1] = Field(
-        default=-1, description="direction (sign) in which the press axis moves into the pad"
-    )
-    from_base: Literal[-1, 1] = Field(
-        default=1, description="direction (sign) in which the pad axis moves away from the base"
-    )
+    into_pad: Literal[-1, 1] = Field(default=-1, description="sign of the press axis for moves into the pad")
+    from_base: Literal[-1, 1] = Field(default=1, description="sign of the pad axis for moves away from the base")
     base_mm: PositionMm = Field(description="position of the pad axis with the indenter over the pad's base")
     clear_mm: PositionMm = Field(
         description="position of the press axis at which nothing touches, anywhere along the pad"
@@ -658,15 +648,13 @@ class RigFile(Record):
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
-                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one "
-                "of the two"
+                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one"
             )
         wheel = self.filter_wheel
         for role, light in (("laser", self.laser), ("lamp", self.lamp)):
             if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
                 raise ValueError(
-                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device only; "
-                    "correct one of the addresses"
+                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct one"
                 )
         return self
 

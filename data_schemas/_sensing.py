@@ -188,7 +188,7 @@ class NormalMapRecord(Record):
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
         description="for each press, RMS error of the depth inside its circle after its mean is removed, by a map "
-        "trained on the other five sixths of the presses; none: not measured",
+        "trained without this press (on five sixths of the presses); none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,

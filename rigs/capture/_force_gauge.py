@@ -163,8 +163,8 @@ def calibration_notes(rig: TactileRig, calibration: LoadCellCalibration) -> tupl
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != settings.address:
         notes.append(
-            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if this is another cell, "
-            f"calibrate it"
+            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if a different cell is "
+            "connected, calibrate that cell"
         )
     if settings.force_limit_n > heaviest_n:
         notes.append(

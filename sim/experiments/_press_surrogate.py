@@ -189,9 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError(
-            "the mesh of the finger is not symmetric about its middle plane x = 0, which training a surrogate needs"
-        )
+        raise SimulateError("the mesh is not symmetric about the plane x = 0, which training a surrogate needs")
     return np.asarray(image)
 
 
@@ -230,9 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError(
-            "in every press ribs pass through each other from the start, so none can be used for training"
-        )
+        raise SimulateError("in every press ribs pass through each other from the start, so none can be used to train")
     return whole
 
 
@@ -401,7 +397,7 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
         what = f"press {number + 1} in the folder belongs to another design, mesh or version"
-        raise SimulateError(f"{what}; give another --out, or remove the folder of its presses")
+        raise SimulateError(f"{what}; give another --out, or remove that folder")
 
 
 def press_to_teach(
@@ -660,8 +656,7 @@ class SurrogateFinger:
         notes = (
             f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
             f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of finite elements",
-            "the surrogate gives no energies; its pressures are those of the condensed finger, scaled to add up to "
-            "the force",
+            "the surrogate gives no energies; pressures are the condensed finger's, scaled to add up to the force",
         )
         return pressed, bars, notes, last.doubt
 

@@ -413,7 +413,7 @@ class FingerLayers:
                 for light in range(len(self._lights))
             ]  # fmt: skip
             if not renders[0].chains_apart:
-                raise SimulateError("fitting a finger needs a compiled renderer: install LLVM 17 or newer")
+                raise SimulateError("fitting a finger needs a compiled variant of Mitsuba: install LLVM 17 or newer")
             if number == 0:
                 on_pad = np.isfinite(renders[0].no_contact_maps.coat_mm(_finger(press))[..., 0])
                 at_rest = [self._apart(render, "no_contact") for render in renders]

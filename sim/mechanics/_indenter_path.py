@@ -139,7 +139,7 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     """
     header, rows = read_csv(path, "the poses of an indenter (CSV)", SimulateError, comments=True)
     known = tuple(PathPose.model_fields)
-    allowed = f"the columns are {', '.join(known)}; one that is left out counts as zero"
+    allowed = f"the columns are {', '.join(known)}; a column that is left out counts as zero"
     unknown = [name for name in header if name not in known]
     if unknown:
         raise SimulateError(f"{path}: the column {unknown[0][:60]!r} is unknown; {allowed}")

@@ -590,8 +590,7 @@ def _pressed_again(
     if clean is not None and found.depth_mm[-1] < clean.depth_mm[-1]:
         return replace(
             clean,
-            unreached=f"with contact of all parts, the press reached {found.depth_mm[-1]:.4g} mm only; with penalty "
-            f"contact, {crossing}",
+            unreached=f"all-parts contact reached {found.depth_mm[-1]:.4g} mm only; with penalty contact, {crossing}",
         )
     return replace(found, contact=f"{found.contact}; with penalty contact, which was tried first, {crossing}")
 

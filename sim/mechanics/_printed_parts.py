@@ -139,7 +139,7 @@ def _lined(pad: GelPad, lining_mm: float) -> GelPad:
         return pad
     if pad.shape not in _BENT_TO:
         raise SimulateError(
-            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to the {pad.shape} pad of pad.shape; leave it out"
+            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to pad.shape = {pad.shape}; leave lining_mm out"
         )
     radius = None if pad.radius_mm is None else pad.radius_mm + lining_mm
     return pad.model_copy(update={"thickness_mm": pad.thickness_mm + lining_mm, "radius_mm": radius})
