@@ -193,7 +193,8 @@ class MetricRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     value: Interval = Field(
-        description="value of the simulation over draws of its uncertain inputs; without width where there are none"
+        description="value of the simulation over draws of its uncertain inputs; of zero width where no input is "
+        "uncertain"
     )
 
 

@@ -113,8 +113,8 @@ class LightAngleDecision(Record):
     objective: str
     aim: Aim = Field(
         default="brightness",
-        description="what the decision is based on: the brightness of the touch; or the expected error of the "
-        "sensed normal, whose inverse is then the value, at places instead of touches",
+        description="what the decision is based on: 'brightness' of the touched region, or 'normal', the inverse of "
+        "the expected error of the sensed normal at places on the pad",
     )
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg

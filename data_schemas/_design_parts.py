@@ -94,7 +94,7 @@ class GelPad(FromPackage):
         for shape, name in needs.items():
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given, although the pad is {self.shape}"
-                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
         half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
         if self.radius_mm is not None and self.radius_mm <= half_width:
             raise ValueError(
@@ -263,7 +263,7 @@ class Indenter(FromPackage):
         for shape, name in (("cuboid", "size_mm"), ("mesh", "file")):
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given for a {self.shape}"
-                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
         if 0.0 < self.depth_mm < LEAST_DEPTH_MM:
             raise ValueError(
                 f"depth_mm = {self.depth_mm:g} mm is less than the {LEAST_DEPTH_MM:g} mm that the finest mesh "

@@ -33,7 +33,7 @@ EXTEND: Final = "docs/reference/extend-finray.md"
 Parameters = Annotated[
     dict[str, float],
     Field(
-        description="parameters of what another package provides, by the names of that package; numbers, with "
+        description="parameters of a part that another package provides, under that package's names; numbers, with "
         "the unit in the name"
     ),
 ]

@@ -417,8 +417,8 @@ class PressMechanics(Record):
     )
     slip_torque_per_friction_n_mm: Torque | None = Field(
         default=None,
-        description="torque about the pad's normal at which the object begins to turn at the last increment, over "
-        "Coulomb's coefficient, by the frictionless pressures there; None with friction, or in older versions",
+        description="torque about the pad's normal at which the object begins to turn at the last increment, divided "
+        "by Coulomb's coefficient, from the frictionless pressures there; None with friction, or in older versions",
     )
     tipping_torque_n_mm: Torque | None = Field(
         default=None,

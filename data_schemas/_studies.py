@@ -71,7 +71,7 @@ class FluorescentRendering(_Study):
     walls: tuple[str, ...]
     z_mm: Annotated[Floats, ArraySpec("<f8", ("z",), "mm")]
     wall_radiance_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall", "z"))] = Field(
-        description="emitted radiance without contact, mean over the wall's height, in units of the panel's"
+        description="emitted radiance without contact, mean over the wall's height, relative to that of the panel"
     )
     second_order_rel: Annotated[Floats, ArraySpec("<f8", ("wall", "z"))] = Field(
         description="part of the baked radiance that light of other paint has excited"
@@ -524,8 +524,8 @@ class DatasetPlan(Model):
     paints: Annotated[int, Field(ge=1, le=1000)] = Field(default=4, description="draws of the paints for each light")
     emission_ratio: Annotated[float, Field(ge=1.0, le=10.0)] = Field(
         default=1.25,
-        description="the emission of a paint without posterior is multiplied by a factor drawn between 1 / this "
-        "and this",
+        description="largest factor by which the emission of a paint without posterior is multiplied or divided, at "
+        "random",
     )
     samples_per_pixel: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
         default=32, description="paths per pixel of the pad; twice as many near the contact"

@@ -412,9 +412,9 @@ def _picamera2() -> Any:
         return import_module("picamera2").Picamera2
     except ImportError as error:
         raise MissingExtraError(
-            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): sudo apt install "
-            "python3-picamera2, and make the virtual environment with --system-site-packages; from another computer "
-            "use driver 'mjpeg'"
+            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): install it with 'sudo apt "
+            "install python3-picamera2', and make the virtual environment with --system-site-packages; from another "
+            "computer use driver 'mjpeg'"
         ) from None
 
 

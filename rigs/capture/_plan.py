@@ -234,9 +234,7 @@ def planned_presses(plan: TactilePlan, folder: Path) -> tuple[PlannedPress, ...]
 def _pose(path: Path, line: int, header: list[str], cells: list[str]) -> PlannedPress:
     """Read one row; an empty cell is a value that is not given."""
     if len(cells) != len(header):
-        raise RecordError(
-            f"{path}, line {line}: the number of cells is {len(cells)}, the header has {len(header)} columns"
-        )
+        raise RecordError(f"{path}, line {line}: has {len(cells)} columns, but the header has {len(header)}")
     texts = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
     try:
         return PlannedPress.model_validate({name: _value(text) for name, text in texts.items()})

@@ -319,9 +319,8 @@ def _mechanics(
             *_chord_note(design, preset, pressed),
             f"gel: {_law(gel)}, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             *([f"skeleton: {_law(design.mechanics.skeleton)}"] if design.mechanics.skeleton.law is not None else []),
-            f"mesh: on the 70 x 35 finger this fineness gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force than "
-            f"an "
-            "infinitely fine one, extrapolated",
+            f"mesh: on the 70 x 35 finger, a mesh this fine gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force "
+            "than an infinitely fine mesh (extrapolated)",
             "dimensions of the skeleton are assumed unless the design's origin says otherwise; forces are unvalidated",
             *notes,
         ),
