@@ -78,7 +78,7 @@ class PaintPlan(Record):
         default=0.7, description="brightest pixel of the region as a fraction of full scale"
     )
     bracket: tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...] = Field(
-        default=(1.0, 0.25), min_length=1, description="exposures of each step, as factors of the metered one"
+        default=(1.0, 0.25), min_length=1, description="exposures of each step, as multiples of the metered exposure"
     )
     darks_per_exposure: Annotated[int, Field(ge=1, le=50)] = 2
     second_tilt_deg: Annotated[float, Field(ge=5.0, le=75.0, json_schema_extra={"unit": "deg"})] | None = Field(
@@ -127,13 +127,13 @@ class Frame(Model):
         description="laser light that fell on the sample from the start of the session to the middle of this exposure: "
         "power x time with the laser on and the sample in view, metering included",
     )
-    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may wrap")
+    frame_id: int | None = Field(default=None, description="the camera's own number of the frame; it may start over")
     device_time_s: float | None = Field(default=None, description="the camera's own time of the frame")
     lights_before: tuple[Literal["lamp", "laser"], ...] = Field(
-        default=(), description="lights that read back as on before the exposure"
+        default=(), description="lights that reported to be on before the exposure"
     )
     lights_after: tuple[Literal["lamp", "laser"], ...] = Field(
-        default=(), description="lights that read back as on after the exposure"
+        default=(), description="lights that reported to be on after the exposure"
     )
     settings: dict[str, str | float] = Field(
         default={}, description="other settings as the camera reads them back, by name (gain, pixel format)"
@@ -172,7 +172,7 @@ class CaptureSession(Record):
     rig: RigFile
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(
-        default={}, description="measured transmission of the filters that name one, by the filter's name"
+        default={}, description="measured transmission of each filter that names a curve, by the filter's name"
     )
     lamp: SpectralCurve
     frames: tuple[Frame, ...]
@@ -291,7 +291,9 @@ class MeasuredPress(Model):
 
     contact: Annotated[int, Field(ge=1)]
     ended_by: Literal["depth", "force"] = Field(description="whether the press ended at its depth or at its force")
-    touch_mm: PositionMm = Field(description="machine coordinate of the press axis at the touch that the cell found")
+    touch_mm: PositionMm = Field(
+        description="machine coordinate of the press axis at first touch, as found with the load cell"
+    )
     touch_uncertainty_mm: UncertaintyMm
     depth_mm: Annotated[float, Field(ge=0.0, le=100.0, json_schema_extra={"unit": "mm"})]
     depth_uncertainty_mm: UncertaintyMm
@@ -299,9 +301,9 @@ class MeasuredPress(Model):
     force_uncertainty_n: UncertaintyN
     relaxed_n: SignedN = Field(description="by how much the force fell while the images were taken")
     zero_shift_n: SignedN | None = Field(
-        default=None, description="shift of the cell's zero, after the indenter was taken away"
+        default=None, description="shift of the load cell's zero, measured after the indenter was taken away"
     )
-    point_depths_mm: tuple[float, ...] = Field(default=(), description="depths of the steps since the touch")
+    point_depths_mm: tuple[float, ...] = Field(default=(), description="depths of the steps since first touch")
     point_forces_n: tuple[float, ...] = ()
     point_uncertainties_n: tuple[float, ...] = ()
 
@@ -372,13 +374,14 @@ class TactileCapture(Record):
     licence: str | None = Field(
         default=None, description="licence under which the images were published; none: not known"
     )
-    missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture does not hold")
+    missing: tuple[MissingPart, ...] = Field(default=(), description="what the source of the capture lacks")
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
         if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
             raise ValueError(
-                "contact_outline: needs 3 corners or more, and replaces contact_circle; leave out the circle"
+                "contact_outline: needs 3 corners or more, and cannot be given together with contact_circle; leave "
+                "contact_circle out"
             )
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
@@ -430,12 +433,15 @@ class TactileRig(Record):
             raise ValueError("simulated and real devices cannot share a rig; name real drivers for all, or for none")
         if self.is_simulated and (self.stage is None or self.simulated is None):
             raise ValueError(
-                "camera.driver: the simulated bench holds no finger without [simulated], [stage] and [load_cell] "
-                "tables: 'finray rig init --preset simulated-finger' writes them; or simulate a press with 'finray "
-                "simulate render'"
+                "camera.driver: a simulated camera needs the tables [simulated], [stage] and [load_cell] of a "
+                "simulated finger: 'finray rig init --preset simulated-finger' writes them. Without a rig, simulate a "
+                "press with 'finray simulate render'"
             )
         if self.stage is not None and self.load_cell is not None and self.stage.address == self.load_cell.address != "":
-            raise ValueError(f"stage and load_cell are both at {self.stage.address}; a serial port holds one device")
+            raise ValueError(
+                f"stage and load_cell are both at {self.stage.address}; a serial port holds one device "
+                "only: correct one of the addresses"
+            )
         return self
 
 
@@ -515,8 +521,8 @@ class TactilePlan(Record):
     )
     poses_csv: str | None = Field(
         default=None,
-        description="in place of 'presses': a CSV file of poses that a stage reports, with the names of their "
-        "fields as header; relative to the plan",
+        description="in place of 'presses': a CSV file of poses that a stage reports, with the keys of [[presses]] as "
+        "header; relative to the plan",
     )
     repeats: Annotated[int, Field(ge=1, le=100)] = Field(
         default=1, description="number of repeats of each press; the indenter is retracted between them"
@@ -530,8 +536,8 @@ class TactilePlan(Record):
     )
     bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
         default=None,
-        description="in place of 'exposures_s': all powers of two of a microsecond from the first to the last that the "
-        f"rig's camera allows, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
+        description="in place of 'exposures_s': exposures of 2^n microseconds for all n from the first to the last "
+        "number, where the rig's camera allows them, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
     )
     led_current_ma: CurrentMa = Field(description="current of the blue LED panel")
     light_angle_deg: AngleDeg = Field(description="measured angle of the panel's normal from the pad plane")

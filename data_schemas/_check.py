@@ -63,14 +63,15 @@ class CheckLimits(AnswerLimits):
         default=2.0, description="largest difference of the dark level from black_level_dn of the rig file"
     )
     read_noise_rel: LimitRel = Field(
-        default=0.25, description="largest difference of the read noise from read_noise_e, relative to it"
+        default=0.25, description="largest difference of the read noise from read_noise_e, relative to read_noise_e"
     )
     dark_rate_dn_per_s: RateDnPerS = Field(
         default=2.0, description="largest growth of the dark level with the exposure: dark current and leaking light"
     )
     exposure_ratio_rel: LimitRel = Field(
         default=0.01,
-        description="largest difference of the signals at 2 t and 4 t from 2 and 4 times that at t, relative to them",
+        description="largest deviation of the signals at 2 t and 4 t from 2 and 4 times the signal at t, relative to "
+        "these multiples",
     )
     lamp_drift_rel: LimitRel = Field(
         default=0.01, description="largest change of the lamp from the first to the last round of white frames"
@@ -79,14 +80,14 @@ class CheckLimits(AnswerLimits):
         default=60.0, description="longest time after switching on until the lamp stays within lamp_drift_rel"
     )
     stray_light_rel: LimitRel = Field(
-        default=0.001, description="most laser light on the white tile behind a filter that blocks it, relative to the "
-        "filter that passes it"
+        default=0.001, description="most laser light seen of the white tile through a filter that blocks the laser, "
+        "relative to the filter that passes the laser"
     )  # fmt: skip
     latency_s: PositiveS = Field(
         default=0.5, description="longest time from the request of an exposure until light is collected"
     )
     light_off_s: PositiveS = Field(
-        default=1.0, description="longest time from the mishap until the laser is off, for each layer"
+        default=1.0, description="longest time from a mishap until the laser is off, for each safety layer"
     )
 
 
@@ -125,7 +126,7 @@ class CheckPlan(Record):
         default=8, description="exposures during which the lamp is switched on; 0: none"
     )
     light_off_repeats: Annotated[int, Field(ge=1, le=20)] = Field(
-        default=3, description="number of mishaps for each layer"
+        default=3, description="number of deliberate mishaps for each safety layer"
     )
     seed: Seed = Field(default=1, description="seed of the random moves")
     photodiode: str | None = Field(
@@ -171,7 +172,7 @@ class PressLimits(AnswerLimits):
         default=0.25, description="longest time between two readings: half of the usual silent_s of a rig file"
     )
     cell_rate_rel: LimitRel = Field(
-        default=0.2, description="largest difference of the readings a second from rate_hz, relative to that"
+        default=0.2, description="largest difference between the readings per second and rate_hz, relative to rate_hz"
     )
     stage_overhead_s: PositiveS = Field(
         default=1.0, description="longest time that a move takes beyond distance / speed"
@@ -180,7 +181,8 @@ class PressLimits(AnswerLimits):
         default=0.01, description="largest distance of the reported position from the one that was asked for"
     )
     touch_repeat_mm: StageMm = Field(
-        default=0.05, description="largest standard deviation of touches over returns, and shift of a touch by stops"
+        default=0.05,
+        description="largest standard deviation of the position of touch over returns, and its largest shift by stops",
     )
     backlash_mm: StageMm = Field(
         default=0.05,
@@ -192,11 +194,13 @@ class PressLimits(AnswerLimits):
     )
     factor_rel: LimitRel = Field(
         default=0.02,
-        description="largest difference of the calibrated force of a known mass from its weight, relative to that",
+        description="largest difference between the calibrated force of a known mass and its weight, relative to the "
+        "weight",
     )
     scale_rel: LimitRel = Field(
         default=0.01,
-        description="largest difference of a travel, by camera or gauge block, from the commanded one, relative to it",
+        description="largest difference between a travel, by camera or gauge block, and the commanded travel, "
+        "relative to the latter",
     )
 
 
@@ -249,16 +253,17 @@ class TactileCheckPlan(Record):
     )
     exposure_s: ExposureS = Field(default=0.01, description="exposure of the camera's frames")
     known_mass: KnownMass | None = Field(
-        default=None, description="mass to lay on the load cell; left out: none at hand, and its factor stays undecided"
+        default=None,
+        description="mass to lay on the load cell; left out: none at hand, and the cell's scale factor stays undecided",
     )
     gauge_block: GaugeBlock | None = Field(
         default=None,
-        description="block to lay on the pad; left out: none at hand, and the press axis' millimetres stay undecided",
+        description="block to lay on the pad; left out: none at hand, and the scale of the press axis stays undecided",
     )
     mm_per_px: Annotated[float, Field(gt=0.0, le=1.0, json_schema_extra={"unit": "mm/px"})] | None = Field(
         default=None,
         description="size of a raw pixel on the pad, by a scale or grid that was laid on it; left out: not known, and "
-        "the pad axis' millimetres stay undecided",
+        "the scale of the pad axis stays undecided",
     )
     mm_per_px_u_rel: LimitRel | None = Field(
         default=None, description="relative standard uncertainty of mm_per_px; required with it"
@@ -301,7 +306,7 @@ class PictureShift(Model):
     row_px: float
     column_px: float
     sd_px: Annotated[float, Field(ge=0.0)] | None = Field(
-        description=("standard uncertainty of each of the two; None: the picture has no texture")
+        description=("standard uncertainty of row_px and of column_px; None: the picture has no texture")
     )
 
 
@@ -398,11 +403,15 @@ class DiodeLevels(Model):
     closed_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         description="mean level with the laser on and off while a person held the beam closed; None: nobody closed it"
     )
-    closed_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(description="standard deviation of one such reading")
+    closed_sd_rel: Annotated[float, Field(ge=0.0)] | None = Field(
+        description="standard deviation of one reading with the beam closed"
+    )
     off_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser off by its controller")
     on_rel: Annotated[float, Field(ge=0.0)] = Field(description="mean with the laser on")
-    threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below it count as dark")
-    readings: Annotated[int, Field(ge=1)] = Field(description="this many readings in a row below it count as off")
+    threshold_rel: Annotated[float, Field(ge=0.0)] = Field(description="readings below this level count as dark")
+    readings: Annotated[int, Field(ge=1)] = Field(
+        description="this many readings in a row below threshold_rel count as off"
+    )
     sees_pulses: bool = Field(
         description="each reading covers all the time since the one before, so that no pulse is missed"
     )
@@ -413,7 +422,8 @@ class DiodeLevels(Model):
         default=None, description="mean with the laser on when the beam was open again; None: nobody closed it"
     )
     reported_lit_closed: bool = Field(
-        default=False, description="the laser's controller reported it on before and after it was read behind the cap"
+        default=False,
+        description="the controller reported the laser on before and after the reading with the beam closed",
     )
 
 
@@ -425,9 +435,9 @@ class SightLevels(Model):
     off_dn: SignalDn = Field(description="behind that filter, with the laser off by its controller")
     off_sd_dn: Annotated[float, Field(ge=0.0)] = Field(description="standard deviation of such means")
     blocked_filter: str | None = Field(description="a filter that blocks the laser; None: there is none")
-    blocked_on_dn: SignalDn | None = Field(description="behind it, with the laser on")
-    blocked_off_dn: SignalDn | None = Field(description="behind it, with the laser off")
-    threshold_dn: SignalDn = Field(description="frames below it count as dark")
+    blocked_on_dn: SignalDn | None = Field(description="behind the filter that blocks the laser, with the laser on")
+    blocked_off_dn: SignalDn | None = Field(description="behind the filter that blocks the laser, with the laser off")
+    threshold_dn: SignalDn = Field(description="frames below this mean count as dark")
 
 
 class CheckFacts(Model):
@@ -541,13 +551,14 @@ class StageStop(Model):
     stood_mm: float | None = Field(description="position at rest that it reported; None: its position was unknown then")
     still_after_s: DurationS | None = Field(
         default=None,
-        description="time until the cell measured no more motion; None: it could not be measured, or was not requested",
+        description="time until the cell's force showed no more motion; None: it could not be measured, or was not "
+        "requested",
     )
     still_sd_s: DurationS | None = Field(default=None, description="standard uncertainty of that time")
     unseen_creep_rel: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None,
-        description="speed at which the stage could creep unseen by the cell, relative to that of the move; None: not "
-        "known",
+        description="speed at which the stage could creep without the cell noticing, relative to the speed of the "
+        "move; None: not known",
     )
 
 
@@ -556,10 +567,11 @@ class MovingStop(Model):
 
     limit_n: ForceN
     way_mm: Annotated[float, Field(gt=0.0)] = Field(description="length of the move, had it not been stopped")
-    unstopped_n: float = Field(description="settled force at its end, as steps had reached it before")
+    unstopped_n: float = Field(description="settled force at the end of the move, as reached in steps before")
     peak_n: float = Field(description="largest force that the cell reported until the stage was at rest, and after")
     stopped_at_n: float | None = Field(
-        default=None, description="force at which the reading that passed the limit stopped the move; None: none did"
+        default=None,
+        description="first reading beyond the limit, which stopped the move; None: no reading was beyond it",
     )
     end_mm: float | None = Field(default=None, description="where the move would have ended; None: not recorded")
     stood_mm: float | None = Field(
@@ -575,10 +587,12 @@ class ForceStop(Model):
         description="largest force that the cell reported until the stage was at rest, and after that"
     )
     noise_n: UncertaintyN = Field(description="standard deviation of one reading")
-    stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(description="in the last step before the stop")
+    stiffness_n_per_mm: Annotated[float, Field(gt=0.0)] = Field(
+        description="stiffness in the last step before the stop"
+    )
     step_mm: Annotated[float, Field(gt=0.0)] = Field(description="longest step towards the pad")
     moving: MovingStop | None = Field(
-        default=None, description="a stop in the middle of a move after it; None: there was no room for one"
+        default=None, description="a stop in the middle of a later move; None: there was no room for such a move"
     )
 
 
@@ -588,7 +602,9 @@ class PressFacts(Model):
     handshakes: tuple[Handshake, ...] = ()
     frame_overheads_s: tuple[DurationS, ...] = ()
     calibration: LoadCellCalibration | None = None
-    calibration_age_days: float | None = Field(default=None, description="on the day of the check")
+    calibration_age_days: float | None = Field(
+        default=None, description="age of the calibration on the day of the check"
+    )
     at_rest: CellAtRest | None = None
     laid: LaidMass | None = None
     block: BlockTouches | None = None
@@ -599,7 +615,7 @@ class PressFacts(Model):
         description="column of the contact in the camera's picture, alternately towards base and tip; empty: not seen",
     )
     stops: tuple[StageStop, ...] = ()
-    after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches when all stops were over")
+    after_stops: tuple[CheckedTouch, ...] = Field(default=(), description="touches after all stops")
     force_stops: tuple[ForceStop, ...] = ()
     reconnect_s: DurationS | None = Field(
         default=None,

@@ -58,7 +58,12 @@ class MonteCarlo(Model):
 
     draws: int
     significant_digits: Annotated[
-        int, Field(ge=0, le=2, description="stable digits of the headline's standard uncertainty")
+        int,
+        Field(
+            ge=0,
+            le=2,
+            description="number of numerically stable digits of the headline's standard uncertainty (JCGM 101)",
+        ),
     ]
     not_included: tuple[str, ...] = Field(description="what the intervals leave out, in plain words")
 
@@ -188,7 +193,8 @@ class MetricRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     value: Interval = Field(
-        description="value of the simulation over draws of its uncertain inputs; without width where there are none"
+        description="value of the simulation over draws of its uncertain inputs; of zero width where no input is "
+        "uncertain"
     )
 
 
@@ -236,7 +242,7 @@ class WhiteBalanceDrift(Model):
     brought to the light of their no-contact image, each by its own gain.
     """
 
-    gains: tuple[float, float, float] = Field(description="red, green, blue of the capture; 1: none")
+    gains: tuple[float, float, float] = Field(description="gains of the capture for red, green, blue; 1: no gain")
     expected_gains: tuple[float, float, float] = Field(description="gains that the simulation expects")
     u_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="relative standard uncertainty")
     uneven_rel: tuple[NotNegative, NotNegative, NotNegative] = Field(description="change across the picture")
@@ -280,7 +286,7 @@ class CauseParameter(Model):
     name: str
     unit: str
     value: float
-    u: NotNegative = Field(description="standard uncertainty from noise and from what no cause explains")
+    u: NotNegative = Field(description="standard uncertainty from noise and from errors that no cause explains")
 
 
 class ErrorCause(Model):
@@ -309,10 +315,10 @@ class ErrorAttribution(Model):
     noise_skill: float = Field(
         description="part that is noise of render and capture, known or from neighbouring pixels; 0 where removed"
     )
-    remainder_skill: float = Field(description="part that is explained by none of these")
+    remainder_skill: float = Field(description="part that neither saturation, noise nor a cause explains")
     maps: Annotated[NDArray[np.float32], ArraySpec("<f4", ("cause", "row", "column"))] | None = Field(
         description="what each cause changes in the image, mean over channels, relative to the pad's level; None "
-        "without a cause"
+        "where no cause was found"
     )
 
 
@@ -401,7 +407,9 @@ class ComparedPair(Model):
     simulated: str
     captured: str
     simulator: str = Field(default="", description="name of the simulator; empty where only one is compared")
-    press: str = Field(default="", description="repeats of one press share it; empty: the name")
+    press: str = Field(
+        default="", description="name that repeats of one press share; empty: same as the name of the pair"
+    )
     session: str | None = Field(default=None, description="session in which it was captured; None: not known")
     sensor: str | None = Field(default=None, description="sensor with which it was captured; None: not known")
     report: str | None = Field(default=None, description="file of the report, relative to the batch")
@@ -582,7 +590,7 @@ class FittedModulus(Model):
     prior: Estimate = Field(description="without the curves")
     posterior: Estimate
     left_of_prior_rel: NotNegative = Field(
-        description="width of the middle 68 % of its logarithm after the curves / that before"
+        description="width of the middle 68 % of the modulus' logarithm, with the curves / without them"
     )
     verdict: MaterialVerdict = Field(
         description="verdict by the share of the prior's width that is left: below a quarter and known to 15 %, below "

@@ -41,7 +41,8 @@ class DecidingCapture(Model):
     light_angle_deg: AngleDeg
     light_angle_uncertainty_deg: Annotated[float, Field(ge=0.0, le=90.0)]
     error_rel: float = Field(
-        description="simulated / captured objective - 1; for absolute ratios without the scale of the rig"
+        description="simulated / captured objective - 1; where captures are compared by exposure and LED current, the "
+        "unknown scale of the rig is taken out"
     )
     error_u_rel: float = Field(description="standard uncertainty of the error, including that of the angle")
     value: float
@@ -112,8 +113,8 @@ class LightAngleDecision(Record):
     objective: str
     aim: Aim = Field(
         default="brightness",
-        description="what the decision is based on: the brightness of the touch; or the expected error of the "
-        "sensed normal, whose inverse is then the value, at places instead of touches",
+        description="what the decision is based on: 'brightness' of the touched region, or 'normal', the inverse of "
+        "the expected error of the sensed normal at places on the pad",
     )
     angle_deg: AngleDeg
     angle_simulation_only_deg: AngleDeg
@@ -286,7 +287,9 @@ class PaintPairRow(Model):
     green: str = Field(description="paint of the green wall")
     normal_error_deg: Estimate = Field(description="error of the sensed normal, mean over the pad")
     above_best_deg: Estimate = Field(description="error minus that of the best pair, draw by draw")
-    is_worse: bool = Field(description="whether the difference to the best pair is real, all pairs together at 95 %")
+    is_worse: bool = Field(
+        description="whether the difference from the best pair is significant, at 95 % for all pairs together"
+    )
     best_share: Fraction = Field(description="share of the draws in which this pair is the best")
     separation_deg: Annotated[float, Field(ge=0.0)] = Field(
         description="angle between the colours of facets tilted to opposite sides"
@@ -329,7 +332,7 @@ class ToleranceSide(Model):
     tried: float = Field(description="largest distance that was evaluated")
     ended_by: str = Field(
         default="",
-        description="why no larger distance was evaluated: the reason for which the design could not be built",
+        description="why no larger distance was evaluated: the reason why the design cannot be built there",
     )
     checked_loss_rel: float | None = Field(
         default=None, description="growth of the error at the limit, with other paths, draws and noise"
@@ -372,7 +375,8 @@ class FingerTolerances(Record):
     sentence: str
     objective: str
     calibration: Literal["own", "shared"] = Field(
-        description="whether each finger is calibrated as it was built, or takes the calibration of the finger as drawn"
+        description="whether each finger is calibrated as it was built, or uses the calibration of the finger as "
+        "designed"
     )
     allowed_rel: Annotated[float, Field(gt=0.0)] = Field(description="allowed growth of the error")
     nominal_error_deg: Annotated[float, Field(gt=0.0)] = Field(description="expected error of the finger as designed")
@@ -409,7 +413,10 @@ class FingerTolerances(Record):
     @model_validator(mode="after")
     def _one_column_a_row(self) -> "FingerTolerances":
         if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
-            raise ValueError(f"inputs {self.inputs.shape} for {len(self.losses_rel)} runs of {len(self.rows)} numbers")
+            raise ValueError(
+                f"inputs has shape {self.inputs.shape}, but there are {len(self.losses_rel)} runs of "
+                f"{len(self.rows)} numbers"
+            )
         return self
 
 

@@ -139,7 +139,7 @@ class FingerDesign(Record):
         """Return also what the finger has no part for."""
         idle = super().unused_fields()
         if self.pad.film is None:
-            idle["mechanics.film"] = "the pad has no film; add the table [pad.film], or leave it out"
+            idle["mechanics.film"] = "the pad has no film; add the table [pad.film], or leave [mechanics.film] out"
         return idle
 
     @model_validator(mode="after")
@@ -347,7 +347,7 @@ class ColouredLight(Model):
     height_mm: LengthMm = 4.0
     power_rel: Annotated[float, Field(gt=0.0, le=100.0)] = Field(default=1.0, description="radiance along the normal")
     beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
-        default=1.0, description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
+        default=1.0, description="exponent m: intensity ~ cos^m of the angle from the normal; 1 is Lambertian"
     )
     peak_wavelength_nm: WavelengthNm | None = Field(
         default=None, description="peak of the LED; used with a camera.response other than 'ideal', by default 630, "
@@ -507,9 +507,9 @@ class CoatSurface(Model):
         if suffix not in (".npy", ".png", ".stl"):
             raise ValueError(f"file = {self.file!r} must end in .npy, .png (height map) or .stl (mesh)")
         if suffix != ".stl" and self.step_mm is None:
-            raise ValueError("step_mm is missing: a height map must say how far its neighbours lie apart, in mm")
+            raise ValueError("step_mm is missing: a height map needs the distance between neighbouring points, in mm")
         if suffix == ".png" and self.unit_mm is None:
-            raise ValueError("unit_mm is missing: a picture must say how many mm one grey level is, such as 0.001")
+            raise ValueError("unit_mm is missing: a picture needs the height of one grey level in mm, such as 0.001")
         return self
 
     def unused_fields(self) -> dict[str, str]:
@@ -580,7 +580,9 @@ class PlainSensor(Record):
     def unused_fields(self) -> dict[str, str]:
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
         idle = super().unused_fields()
-        idle["indenter.path"] = "a classic sensor's indenter is pressed along the pad's normal, by depth_mm"
+        idle["indenter.path"] = (
+            "a classic sensor's indenter is pressed along the pad's normal, by depth_mm; leave it out"
+        )
         if self.surface is not None:
             idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave out one of the two tables"
         if self.walls == "clear":

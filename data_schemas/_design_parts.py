@@ -94,7 +94,7 @@ class GelPad(FromPackage):
         for shape, name in needs.items():
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given, although the pad is {self.shape}"
-                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
         half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
         if self.radius_mm is not None and self.radius_mm <= half_width:
             raise ValueError(
@@ -263,7 +263,7 @@ class Indenter(FromPackage):
         for shape, name in (("cuboid", "size_mm"), ("mesh", "file")):
             if (getattr(self, name) is not None) != (self.shape == shape):
                 state = "missing" if self.shape == shape else f"given for a {self.shape}"
-                raise ValueError(f'{name} is {state}; it belongs to shape = "{shape}" and only to that')
+                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
         if 0.0 < self.depth_mm < LEAST_DEPTH_MM:
             raise ValueError(
                 f"depth_mm = {self.depth_mm:g} mm is less than the {LEAST_DEPTH_MM:g} mm that the finest mesh "
@@ -334,7 +334,7 @@ class LightPanel(Model):
     )
     beam_exponent: Annotated[float, Field(ge=1.0, le=50.0)] = Field(
         default=1.0,
-        description="m of an intensity ~ cos^m of the angle from the normal; 1 is Lambertian, and the half angle "
+        description="exponent m: intensity ~ cos^m of the angle from the normal; 1 is Lambertian, and the half angle "
         "of the beam is acos(0.5^(1/m)): 60, 45 and 33 deg for m = 1, 2 and 4",
     )
 
@@ -628,12 +628,12 @@ class OgdenSolid(Rubber):
         if sum(self.mu_mpa) <= 0.0:
             raise ValueError(
                 f"mu_mpa: the initial shear modulus, their sum, is {sum(self.mu_mpa):g} MPa and must be positive; "
-                "constants of the form mu / alpha (...) must be multiplied by alpha / 2"
+                "constants of an energy with the factor mu / alpha must be multiplied by alpha / 2"
             )
         try:
             check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")
         except ValueError as outside:
-            raise ValueError(f"mu_mpa: the initial shear modulus, their sum: {outside}") from None
+            raise ValueError(f"mu_mpa: the initial shear modulus (the sum): {outside}") from None
         return self
 
 

@@ -111,7 +111,8 @@ class Reradiation(Model):
 
 NO_SPECTRUM = (
     "'finray fit' found no emission in this sample, so there is no spectrum to simulate, map, compare or export. Give "
-    "the fit of a fluorescent paint; if this should be one, check its limit and the laser, and measure it again"
+    "the fit of a fluorescent paint; if this paint should fluoresce, check its detection limit and the laser, and "
+    "measure the paint again"
 )
 _WHOLE_FROM_SD = 10.0
 EmissionVerdict = Literal["emission measured", "no emission"]
@@ -128,13 +129,17 @@ class EmissionDetection(Model):
     threshold_sd: float = Field(description="value of the statistic that the stated share of simulated blanks exceeds")
     blanks_above: Fraction = Field(description="share of simulated blanks with at least this statistic")
     blanks: int = Field(ge=1, description="number of simulated blanks: same rig and reflectance, no emission")
-    false_alarm: Fraction = Field(description="share of blanks that the threshold calls emission")
+    false_alarm: Fraction = Field(
+        description="share of blanks whose statistic exceeds the threshold, so that emission would be claimed"
+    )
     yield_limit: Annotated[float, Field(ge=0.0)] | None = Field(
         description="energy yield that this session would have detected with 95 % probability; none where emission "
         "was measured, because its stray light would add to the limit"
     )
-    limit_low_nm: WavelengthNm = Field(description="the limit holds for emission with its mode above this")
-    limit_high_nm: WavelengthNm = Field(description="and below this")
+    limit_low_nm: WavelengthNm = Field(
+        description="lower end of the modes (peak wavelengths) for which the limit holds"
+    )
+    limit_high_nm: WavelengthNm = Field(description="upper end of the modes for which the limit holds")
 
     @property
     def measured(self) -> bool:
@@ -146,8 +151,8 @@ class EmissionDetection(Model):
         """The verdict as one sentence."""
         size = f"{self.statistic_sd:.0f}" if self.statistic_sd >= _WHOLE_FROM_SD else f"{self.statistic_sd:.1f}"
         beyond = (
-            f"beyond reflected laser, leak and stray light the signal is {size} standard deviations "
-            f"(threshold {self.threshold_sd:.2g})"
+            f"the signal exceeds reflected laser, leak and stray light by {size} standard deviations (threshold "
+            f"{self.threshold_sd:.2g})"
         )
         if self.yield_limit is None:
             return f"{self.verdict}: {beyond}"
@@ -166,7 +171,9 @@ class PaintWithoutEmission(Record):
 
     paint_name: str
     detection: EmissionDetection
-    reflectance_at_laser: float = Field(ge=0.0, description="reflected share of the laser; 1 where it is lost")
+    reflectance_at_laser: float = Field(
+        ge=0.0, description="reflected share of the laser; 1 where the measured value cannot be used"
+    )
     reflectance: tuple[Estimate, ...] = Field(description="reflectance at each filter under the lamp")
     optics: Optics
     usable: Annotated[NDArray[np.bool_], ArraySpec("|b1", ("filter", "3"))]

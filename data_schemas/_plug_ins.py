@@ -33,7 +33,7 @@ EXTEND: Final = "docs/reference/extend-finray.md"
 Parameters = Annotated[
     dict[str, float],
     Field(
-        description="parameters of what another package provides, by the names of that package; numbers, with "
+        description="parameters of a part that another package provides, under that package's names; numbers, with "
         "the unit in the name"
     ),
 ]
@@ -160,7 +160,7 @@ class PlugIn:
             names = [p.name if p.default is p.empty else f"{p.name} (by default {p.default})" for p in taken]
             raise self.kind.error(
                 f"{self.label} takes the parameters {', '.join(names) or 'none'}, but the design gives "
-                f"{', '.join(parameters) or 'none'}: correct parameters beside the name"
+                f"{', '.join(parameters) or 'none'}: correct the parameters in the design"
             ) from None
 
 
@@ -201,7 +201,7 @@ def find_plug_in(kind: PlugInKind, name: str, ours: Iterable[str] = ()) -> PlugI
     if len(found) > 1:
         raise kind.error(
             f"{kind.noun} '{name}' is offered by {' and by '.join(sorted(one.source for one in found))}, and finray "
-            f"cannot know which one you mean; uninstall one of them, or ask its author for another name"
+            "cannot know which one you mean; uninstall one of them, or ask the author of one to rename it"
         )
     return found[0]
 
@@ -321,7 +321,7 @@ class PackagedPad:
         if abs(middle) > _CROWN_MM or drop.min() < -_CROWN_MM:
             raise self._plug_in.refusal(
                 "has its crown at another place: drop_mm must be 0 mm in the middle of the pad and nowhere "
-                f"below that, but is {middle:.3g} mm there and {drop.min():.3g} mm at its least", "pad: ",
+                f"negative, but is {middle:.3g} mm in the middle and {drop.min():.3g} mm at its lowest", "pad: ",
             )  # fmt: skip
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)
@@ -385,5 +385,6 @@ def require_address(driver: str, address: str) -> None:
     near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'? If" if near else "if"
     raise ValueError(
-        f"driver: finray has no driver '{driver}'; {hint} another package provides it, state its address as well"
+        f"driver: finray has no driver '{driver}'; {hint} another package provides this driver, give its address as "
+        "well"
     )

@@ -68,7 +68,7 @@ class TaughtKernel(Model):
     """Covariance exp(-d^2 / 2) + linear_rel (1 + x . y) of a Gaussian process, d by the lengths; times a variance."""
 
     lengths: Annotated[Floats, ArraySpec("<f8", ("feature",))] = Field(
-        description="lengths of the kernel, in half widths of the family"
+        description="correlation lengths of the kernel, in half widths of the family"
     )
     linear_rel: Annotated[float, Field(ge=0.0)]
     noise_rel: Annotated[float, Field(gt=0.0)] = Field(description="variance that does not depend on the features")
@@ -143,7 +143,7 @@ class PressSurrogate(Record):
     force_bar_rel: Annotated[float, Field(gt=0.0)]
     force_floor_rel: Annotated[float, Field(ge=0.0)]
     left_out_surface_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))] = Field(
-        description="error of the coat where the sample's press was left out of the training / its displacement"
+        description="error of the coat / displacement of the coat, with the sample's press left out of the training"
     )
     left_out_force_rel: Annotated[Floats, ArraySpec("<f8", ("sample",))]
     crossed_features: Annotated[Floats, ArraySpec("<f8", ("crossed", "feature"))] | None = Field(

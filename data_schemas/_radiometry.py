@@ -69,7 +69,7 @@ class Optics(Model):
     )
     camera_response: tuple[SpectralCurve, SpectralCurve, SpectralCurve]
     filter_curves: dict[str, SpectralCurve] = Field(
-        default={}, description="measured transmission of the filters that name one, by the filter's name"
+        default={}, description="measured transmission of each filter that names a curve, by the filter's name"
     )
 
     @model_validator(mode="after")

@@ -45,7 +45,7 @@ def _where_none_is_given(catalogue_nm: float) -> Callable[[dict[str, Any]], floa
 def _uncertainty_text(catalogue_nm: float) -> str:
     """Say which standard uncertainty holds where none is given."""
     return (
-        f"standard uncertainty, of a certificate; left out, {catalogue_nm:g} nm with a catalogue's data only, "
+        f"standard uncertainty from a certificate; if left out: {catalogue_nm:g} nm with a catalogue's data only, "
         f"{MEASURED_CURVE_NM:g} nm with a measured curve"
     )
 
@@ -77,7 +77,7 @@ class BandPassFilter(Model):
     peak_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.6
     blocking_od: OpticalDensity = Field(
         default=5.0,
-        description="floor of the transmission, also of a measured curve, outside whose range it is the transmission",
+        description="optical density of the lowest transmission; used alone outside the range of a measured curve",
     )
     blocking_uncertainty_od: Annotated[float, Field(ge=0.0, le=3.0, json_schema_extra={"unit": "1"})] = 0.2
 
@@ -86,9 +86,9 @@ def _driver_name(name: str) -> str:
     """Refuse what is no name of a driver."""
     if not re.fullmatch(DRIVER_NAME, name):
         raise ValueError(
-            "is the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens; a rig "
-            "file cannot name a module, because it must not decide which code runs: install the package that provides "
-            "the driver"
+            "must be the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens. A "
+            "rig file cannot name a module, because it must not decide which code runs: install the package that "
+            "provides the driver"
         )
     return name
 
@@ -211,7 +211,7 @@ class OutsideLayer(Model):
 
     kind: Literal["interlock", "relay with pulse", "dead-man"] = Field(
         description="interlock: opening the box cuts the supply; relay with pulse: it opens unless it is pulsed; "
-        "dead-man: the controller itself switches off when it hears nothing"
+        "dead-man: the controller itself switches off when it receives no message"
     )
     tested_on: IsoDay = Field(description="day of the last test, with the laser on")
     test: Annotated[str, Field(min_length=10, max_length=200)] = Field(
@@ -271,8 +271,8 @@ class LampSettings(Model):
     )
     temperature_uncertainty_k: Annotated[float, Field(ge=0.0, le=500.0)] = Field(
         default=50.0,
-        description="standard uncertainty of the lamp's colour temperature in kelvin, of a measured spectrum that of "
-        "its tilt; 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
+        description="standard uncertainty of the lamp's colour temperature in kelvin (for a measured spectrum: of its "
+        "tilt, as a temperature); 50 K (5 % in the ratio of 450 to 600 nm) for a lamp known by its label only",
     )
 
     @property
@@ -318,11 +318,11 @@ class WhiteReference(Model):
 class BandUncertainty(Model):
     """Relative standard uncertainties of band values besides the noise of frames; smaller only where measured."""
 
-    calibration_rel: TypeBUncertainty = Field(default=0.01, description="of a filter's value, common to its channels")
-    response_rel: TypeBUncertainty = Field(default=0.003, description="of a channel's response in a filter's band")
+    calibration_rel: TypeBUncertainty = Field(default=0.01, description="error of each filter, common to its channels")
+    response_rel: TypeBUncertainty = Field(default=0.003, description="error of a channel's response in a filter band")
     stray_light_rel: TypeBUncertainty = Field(
         default=0.003,
-        description="light that bypasses the filter, relative to the brightest filter except that of the laser",
+        description="light that bypasses the filters, relative to the strongest signal but that of the laser's filter",
     )
 
 
@@ -484,8 +484,8 @@ class StageSettings(Model):
     model: str = ""
     press_axis: StageAxis = Field(default="Z", description="axis along the pad's normal")
     pad_axis: StageAxis = Field(default="X", description="axis along the pad")
-    into_pad: Literal[-1, 1] = Field(default=-1, description="sign in which the press axis moves into the pad")
-    from_base: Literal[-1, 1] = Field(default=1, description="sign in which the pad axis moves away from the base")
+    into_pad: Literal[-1, 1] = Field(default=-1, description="sign of the press axis for moves into the pad")
+    from_base: Literal[-1, 1] = Field(default=1, description="sign of the pad axis for moves away from the base")
     base_mm: PositionMm = Field(description="position of the pad axis with the indenter over the pad's base")
     clear_mm: PositionMm = Field(
         description="position of the press axis at which nothing touches, anywhere along the pad"
@@ -527,7 +527,7 @@ class StageSettings(Model):
             raise ValueError(f"press_axis and pad_axis are both {self.press_axis}; name the two axes of the stage")
         for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
             if low >= high:
-                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest place first")
+                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest position first")
         if self.touch_step_mm > self.step_mm:
             raise ValueError(
                 f"touch_step_mm = {self.touch_step_mm:g} mm must not exceed step_mm = {self.step_mm:g} mm, the longest "

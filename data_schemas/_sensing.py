@@ -188,7 +188,7 @@ class NormalMapRecord(Record):
     held_out_depth_rms_mm: Annotated[Floats, ArraySpec("<f8", ("press",), "mm")] | None = Field(
         default=None,
         description="for each press, RMS error of the depth inside its circle after its mean is removed, by a map "
-        "trained on the other five sixths of the presses; none: not measured",
+        "trained without this press (on five sixths of the presses); none: not measured",
     )
     held_out_height_error_rel: Annotated[Floats, ArraySpec("<f8", ("press",))] | None = Field(
         default=None,
@@ -228,7 +228,7 @@ class SensedPress(Record):
     contact_depth_mm: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "mm"})]
     deepest_mm: float = Field(description="largest depth")
     deepest_u_mm: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm"})] | None = Field(
-        description="standard uncertainty of the largest depth, its level included"
+        description="standard uncertainty of the largest depth, including that of its zero level"
     )
     contact_area_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})]
     contact_area_u_mm2: Annotated[float, Field(ge=0.0, json_schema_extra={"unit": "mm2"})] | None = Field(

@@ -91,7 +91,7 @@ class SimulatedPress(Record):
     written_by: ClassVar[str] = "'finray simulate render'"
 
     name: str
-    label: str = Field(description="how the images came about, for example 'rendered, level b, llvm_ad_rgb'")
+    label: str = Field(description="how the images were made, for example 'rendered, level b, llvm_ad_rgb'")
     method: Literal["rendered", "table"]
     encoding: Literal["linear", "unknown"]
     no_contact: Image
@@ -412,12 +412,13 @@ class PressMechanics(Record):
     unreached: str = Field(description="why the push ended early; empty when it did not")
     wanted_force_n: Annotated[float, Field(gt=0.0, json_schema_extra={"unit": "N"})] | None = Field(
         default=None,
-        description="force of a press to a force, in place of design.indenter.depth_mm; None for a press to a depth",
+        description="force up to which the indenter was pressed (--force), in place of design.indenter.depth_mm; None "
+        "for a press to a depth",
     )
     slip_torque_per_friction_n_mm: Torque | None = Field(
         default=None,
-        description="torque about the pad's normal at which the object begins to turn at the last increment, over "
-        "Coulomb's coefficient, by the frictionless pressures there; None with friction, or in older versions",
+        description="torque about the pad's normal at which the object begins to turn at the last increment, divided "
+        "by Coulomb's coefficient, from the frictionless pressures there; None with friction, or in older versions",
     )
     tipping_torque_n_mm: Torque | None = Field(
         default=None,
@@ -464,7 +465,7 @@ class PressIncrement(Record):
     )
     unstable: str = Field(
         default="",
-        description="at which push first the finger may stand at an unstable equilibrium; empty where the search found "
+        description="the first push at which the equilibrium may be unstable, in words; empty where the search found "
         "none, or in increments of older versions",
     )
     parts_touch_from_mm: float | None = Field(
@@ -559,7 +560,7 @@ class ObjectGrasp(Record):
         description="distance that each finger has moved since both touched the object"
     )
     closing_force_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
-        description="mean of both fingers' forces along the closing"
+        description="mean of both fingers' forces along the direction of closing"
     )
     carried_n: Annotated[PerIncrement, ArraySpec("<f8", ("increment",), "N")] = Field(
         description="part of the weight that the fingers carry"
@@ -574,9 +575,9 @@ class ObjectGrasp(Record):
         description="size of the unbalanced force on the object"
     )
     stiffness_n_per_mm: Annotated[float, Field(json_schema_extra={"unit": "N/mm"})] = Field(
-        description="least resistance to a move or turn of the object at the last increment, turns at half the pad's "
-        "width; negative: the slightest push squeezes it out or tips it over; 0: it can move freely in some "
-        "direction"
+        description="least resistance to a move or turn of the object at the last increment (a turn counts as a move "
+        "at half the pad's width); negative: the slightest push squeezes it out or tips it over; 0: it can move "
+        "freely in some direction"
     )
     lost: str = Field(description="why the fingers did not reach the requested force or weight; empty when they did")
     notes: tuple[str, ...] = ()

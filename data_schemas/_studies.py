@@ -71,7 +71,7 @@ class FluorescentRendering(_Study):
     walls: tuple[str, ...]
     z_mm: Annotated[Floats, ArraySpec("<f8", ("z",), "mm")]
     wall_radiance_rel: Annotated[Floats, ArraySpec("<f8", ("alternative", "wall", "z"))] = Field(
-        description="emitted radiance without contact, mean over the wall's height, in units of the panel's"
+        description="emitted radiance without contact, mean over the wall's height, relative to that of the panel"
     )
     second_order_rel: Annotated[Floats, ArraySpec("<f8", ("wall", "z"))] = Field(
         description="part of the baked radiance that light of other paint has excited"
@@ -207,7 +207,7 @@ class StiffnessOrder(Model):
     smallest_ratio: float = Field(
         description="smallest ratio with the same dimension changed in both by the same share"
     )
-    at: str = Field(description="the change at which the ratio is smallest; empty for none")
+    at: str = Field(description="the change at which the ratio is smallest; empty: without any change")
     independent_ratio: float = Field(
         description="least stiffness of the stiffer finger / largest of the softer one, of all changes"
     )
@@ -350,7 +350,7 @@ class StudyVariation(Model):
     @model_validator(mode="after")
     def _values_or_range(self) -> "StudyVariation":
         if bool(self.values) == (self.low is not None or self.high is not None):
-            raise ValueError(f"vary {self.field}: give values, or low and high of a random study")
+            raise ValueError(f"vary {self.field}: give either values, or low and high (combine = 'random')")
         if not self.values and (self.low is None or self.high is None or self.low >= self.high):
             raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
         return self
@@ -376,7 +376,10 @@ class StudyMeasure(Model):
     @model_validator(mode="after")
     def _measures_something(self) -> "StudyMeasure":
         if self.press == "analytic" and not self.images:
-            raise ValueError('measure: press = "analytic" without images computes nothing; set one of them')
+            raise ValueError(
+                'measure: press = "analytic" without images computes nothing; set press = "finite elements" or '
+                "images = true"
+            )
         return self
 
 
@@ -521,8 +524,8 @@ class DatasetPlan(Model):
     paints: Annotated[int, Field(ge=1, le=1000)] = Field(default=4, description="draws of the paints for each light")
     emission_ratio: Annotated[float, Field(ge=1.0, le=10.0)] = Field(
         default=1.25,
-        description="the emission of a paint without posterior is multiplied by a factor drawn between 1 / this "
-        "and this",
+        description="largest factor by which the emission of a paint without posterior is multiplied or divided, at "
+        "random",
     )
     samples_per_pixel: Annotated[int, Field(ge=2, le=100_000, multiple_of=2)] = Field(
         default=32, description="paths per pixel of the pad; twice as many near the contact"
@@ -632,5 +635,5 @@ class LearningDataset(Record):
     shards: tuple[DatasetShardRow, ...]
     failures: tuple[DatasetFailure, ...] = ()
     processor_s: Annotated[float, Field(ge=0.0)]
-    sample_bytes: Annotated[int, Field(ge=0, description="mean over the samples of the shards' sizes")]
+    sample_bytes: Annotated[int, Field(ge=0, description="size of all shards / number of samples")]
     notes: tuple[str, ...] = ()

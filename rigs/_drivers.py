@@ -150,15 +150,15 @@ def find_driver(kind: Kind, name: str) -> Driver:
         near = difflib.get_close_matches(name, table, 1, cutoff=0.6)
         hint = f"did you mean '{near[0]}'? There" if near else "there"
         raise RefusedError(
-            f"{kind}: no driver '{name}' is installed; {hint} are {known}: correct driver in the rig file, or install "
-            f"the package that provides it ({HOW_TO})"
+            f"{kind}: no driver '{name}' is installed; {hint} are {known}: change the key driver in the rig file, or "
+            f"install the package that provides it ({HOW_TO})"
         )
     if len(table[name]) > 1:
         packages = [f"{driver.package} {driver.version}".rstrip() for driver in table[name]]
         others = [driver.package for driver in table[name] if not driver.is_ours]
         raise RefusedError(
-            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which "
-            f"one you mean; run 'pip uninstall {others[-1]}', or ask its author for another name"
+            f"{kind}: driver '{name}' is offered by {' and by '.join(packages)}, and finray cannot know which one you "
+            f"mean; run 'pip uninstall {others[-1]}', or ask the author of that package to rename the driver"
         )
     return table[name][0]
 

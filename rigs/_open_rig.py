@@ -523,8 +523,8 @@ def _stage(rig: TactileRig, folder: Path) -> Lines:
             yield f"{says.model}{f', firmware {says.firmware}' if says.firmware else ''}"
             yield "its position is unknown until a session homes it"
             yield (
-                f"the rig file states: {rig.stage.press_axis} moves into the pad and clears it at "
-                f"{rig.stage.clear_mm:g} mm, travel {rig.stage.press_travel_mm[0]:g} to "
+                f"the rig file states: axis {rig.stage.press_axis} presses the pad and is clear of it at "
+                f"{rig.stage.clear_mm:g} mm; its travel is {rig.stage.press_travel_mm[0]:g} to "
                 f"{rig.stage.press_travel_mm[1]:g} mm"
             )
 
@@ -539,7 +539,9 @@ def _cell(rig: TactileRig, folder: Path) -> Lines:
             counts = [opened.load_cell.read(rig.load_cell.silent_s).counts for _ in range(10)]
             yield f"ten readings: mean {np.mean(counts):.0f}, standard deviation {np.std(counts, ddof=1):.0f} counts"
             if min(counts) == max(counts):
-                yield Warned("all ten readings have the same count, so it is stuck; check amplifier and wiring")
+                yield Warned(
+                    "all ten readings have the same count, so the load cell is stuck; check amplifier and wiring"
+                )
 
 
 def device_title(role: str, settings: Settings) -> str:
@@ -585,7 +587,7 @@ def _laser(rig: RigFile, folder: Path) -> Lines:
 
 def _lamp(rig: RigFile, folder: Path) -> Lines:
     if rig.lamp.driver == "manual":
-        yield "switched by hand, and this command does not ask, so its state is unknown"
+        yield "its state is unknown: it is switched by hand, and this command does not ask the operator"
         yield Warned("check that the lamp is off: finray cannot know whether the camera's frame below was dark")
         return
     with open_rig_lamp(rig, folder, TerminalOperator()) as light:
@@ -624,7 +626,7 @@ def _camera(opening: AbstractContextManager[Camera], settings: CameraSettings) -
     with opening as camera:
         yield _says(camera.identity())
         if settings.driver == "folder":
-            yield "not exposed: each image of a folder is used once"
+            yield "no frame was taken, because each image of a folder can be used only once"
             return
         exposure_s = min(max(DARK_EXPOSURE_S, settings.shortest_exposure_s), settings.longest_exposure_s)
         from rigs.capture import CAMERA_DEADLINE_MARGIN_S  # which needs an open rig itself
@@ -655,7 +657,9 @@ def _curves(rig: RigFile, folder: Path) -> Lines:
         curve = "nominal" if band.curve is None else band.curve
         yield f"{band.slot:>4}  {band.name:8}  {center:>14}  {width:>14}  {band.blocking_od:>3g}  {curve}"
     if rig.camera.response == "assumed":
-        yield Warned("the camera's response is assumed; name a measured one (camera.response) where there is one")
+        yield Warned(
+            "the camera's response is assumed; if you have a measured response, name its file in camera.response"
+        )
     curves = read_filter_curves(rig.filter_wheel.filters, folder)
     response = camera_response(rig.camera.response, folder)
     yield from map(Warned, coverage_notes(rig.filter_wheel.filters, curves, (*response, lamp_curve(rig.lamp, folder))))

@@ -399,7 +399,7 @@ class TerminalOperator:
 
     def tilt(self, angle_deg: float) -> None:
         """Have the sample tilted."""
-        self.do(f"Turn the sample until its normal and the laser beam enclose {angle_deg:g} deg.")
+        self.do(f"Turn the sample until the laser beam is at {angle_deg:g} deg to the sample's normal.")
 
     def do(self, instruction: str) -> None:
         """Show an instruction and wait for Enter.
@@ -457,7 +457,7 @@ class AbsentOperator:
 
     def tilt(self, angle_deg: float) -> None:
         """Remember that the sample would be tilted."""
-        self.do(f"Turn the sample until its normal and the laser beam enclose {angle_deg:g} deg.")
+        self.do(f"Turn the sample until the laser beam is at {angle_deg:g} deg to the sample's normal.")
 
     def do(self, instruction: str) -> None:
         """Remember an instruction."""

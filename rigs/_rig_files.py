@@ -156,7 +156,7 @@ def write_tactile_rig(rig: TactileRig, path: Path) -> Path:
         if part is not None
     ]
     kinds: dict[str, Kind] = {"camera": "camera", "stage": "stage", "load_cell": "load cell"}
-    text = f"""# A rig that presses a finger. Every value has its unit in its name; places are machine coordinates.
+    text = f"""# A rig that presses a finger. Every value has its unit in its name; positions are machine coordinates.
 name = {_quoted(rig.name)}
 schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
 """
@@ -182,13 +182,15 @@ _TO_FILL_IN: Final[dict[Role, str]] = {
     "camera": f"camera: address = {CAMERA_SERIAL} stands for its serial number ('finray rig detect' lists cameras)",
     "filter wheel": f"filter_wheel: address = {WHEEL_PORT} is the usual port; 'finray rig detect' names the right one",
     "laser": f"laser: address = {LASER_PORT} is the usual port; 'finray rig detect' names the right one",
-    "lamp": "lamp: driver = manual, the operator switches it; name a driver and an address if a controller does",
+    "lamp": "lamp: driver = manual means that the operator switches it; if a controller does, give its driver and "
+    "address",
 }
 _ALWAYS: Final = (
-    "laser: compare wavelength_nm, power_mw and laser_class with its label; it is not switched on until the file "
-    "states them",
-    "filter_wheel.filters: correct the slots, and the centres and uncertainties where there is a certificate",
-    "camera: width, height, bit_depth and the three noise figures are those of the paper's camera",
+    "laser: compare wavelength_nm, power_mw and laser_class with the laser's label; a laser is not switched on unless "
+    "the file states them",
+    "filter_wheel.filters: correct the slots, and if you have certificates the centres and their uncertainties",
+    "camera: width, height, bit_depth and the three noise figures are those of the camera of the GelSight Fin Ray "
+    "paper",
 )
 
 
@@ -236,7 +238,7 @@ _CAMERA: Final = {
     "width_px": "width of a raw frame, pixels",
     "height_px": "height of a raw frame, pixels",
     "bit_depth": "bits of a raw count: 8, 10, 12, 14 or 16",
-    "bayer_pattern": "colours of the first four pixels",
+    "bayer_pattern": "colours of the 2 x 2 pixels at the top left",
     "black_level_dn": "count in the dark, DN; better from a camera session",
     "gain_e_per_dn": "electrons per count, e/DN; better from a camera session",
     "gain_db": "amplification that is set and read back, dB; lowest is best",
@@ -252,7 +254,7 @@ _WHEEL: Final = {
 }
 _FILTER: Final = {
     "slot": "as on the wheel, from 1",
-    "name": "as plans call it",
+    "name": "name that plans use",
     "center_nm": "centre wavelength, nm",
     "center_uncertainty_nm": "its standard uncertainty, nm",
     "fwhm_nm": "full width at half maximum, nm",
@@ -288,9 +290,10 @@ _WHITE: Final = {
     "uncertainty_rel": "its standard uncertainty, relative",
 }
 _BANDS: Final = {
-    "calibration_rel": "of a filter's value, common to its channels",
-    "response_rel": "of a channel's response in a filter's band",
-    "stray_light_rel": "light that bypasses the filter, relative to the brightest one without the laser's",
+    "calibration_rel": "error of a filter's value, common to red, green and blue",
+    "response_rel": "error of a channel's response in a filter's band",
+    "stray_light_rel": "light that bypasses the filters, relative to the strongest signal of a filter other than the "
+    "laser's",
 }
 
 
@@ -338,7 +341,7 @@ schema_version = {rig.schema_version}  # of rig files, so that later versions of
 [white_reference]
 {_fields(rig.white_reference.model_dump(), _WHITE)}
 [band_uncertainty]
-# What frames do not show, as relative standard uncertainties; smaller ones only where they were measured.
+# Relative standard uncertainties that the frames cannot show; lower a value only if you have measured it.
 {_fields(rig.band_uncertainty.model_dump(), _BANDS)}{"" if rig.simulated is None else _bench_toml(rig.simulated)}"""
 
 
@@ -382,9 +385,9 @@ def _filter_toml(band: BandPassFilter, comments: Mapping[str, str]) -> str:
 def _outside_layer_toml(layer: OutsideLayer | None) -> str:
     """Return the table of what switches the laser off outside the computer; a comment where none is declared."""
     head = f"""\
-# [laser.outside_layer] declares hardware that switches the laser off when the computer cannot, and its last test with
-# the laser on, which holds for {TEST_VALID_DAYS} days. A laser of class 3R or above is lit only with such a layer; the
-# firmware behind driver arduino is one, and every session tests it.
+# [laser.outside_layer] declares hardware that switches the laser off when the computer cannot, and the day when it was
+# last tested with the laser on; the test is valid for {TEST_VALID_DAYS} days. A laser of class 3R or above is lit only
+# with such a layer. The firmware for driver arduino is such a layer, and every session tests it.
 """
     if layer is None:
         example = '{ kind = "interlock", tested_on = 2026-01-31, test = "lid opened: dark at once" }'
@@ -425,14 +428,14 @@ def plan_toml(plan: PaintPlan | CameraPlan) -> str:
 
 def _paint_plan_toml(plan: PaintPlan) -> str:
     """Return a paint plan without its region."""
-    filters = "# filters = [...]: names in capture order; all of the rig if left out"
+    filters = "# filters = [...]: names in the order of capture; leave it out for all filters of the rig"
     if plan.filters is not None:
         filters = f"filters = [{_names(plan.filters)}]"
     tilt = """# second_tilt_deg = 30.0 and second_tilt_filters = [two names] test whether the paint is diffuse"""
     if plan.second_tilt_deg is not None and plan.second_tilt_filters is not None:
         tilt = f"""second_tilt_deg = {plan.second_tilt_deg!r}
 second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
-    return f"""# A paint session: white tile, sample beside a ColorChecker, sample; through all filters of the rig.
+    return f"""# A paint session: white tile, sample beside a ColorChecker, sample. Tile, sample: through all filters.
 schema_version = {plan.schema_version}
 kind = "{plan.kind}"
 paint_name = {_quoted(plan.paint_name)}
@@ -441,13 +444,13 @@ paint_name = {_quoted(plan.paint_name)}
 excitation_filter = {_quoted(plan.excitation_filter)}
 # brightest pixel of the region, as a fraction of full scale
 target_fraction = {plan.target_fraction!r}
-# exposures of each step relative to the metered one
+# exposures of each step, as multiples of the metered exposure
 bracket = [{", ".join(repr(factor) for factor in plan.bracket)}]
 darks_per_exposure = {plan.darks_per_exposure}
 # second angle between the laser beam and the sample's normal, and the two filters used at it
 {tilt}
 
-# The painted (and white) area in pixels of the raw frame.
+# The area that is evaluated (paint, or white tile), in pixels of the raw frame.
 """
 
 
@@ -462,7 +465,7 @@ kind = "{plan.kind}"
 camera_name = {_quoted(plan.camera_name)}
 # the filter in the beam
 {through}
-# exposures up to the saturation of each channel, evenly spaced, and frames of each
+# number of exposures up to the saturation of each channel, evenly spaced, and number of frames at each
 levels = {plan.levels}
 frames_per_level = {plan.frames_per_level}
 # further flat frames at half saturation and as many dark ones, for PRNU and DSNU

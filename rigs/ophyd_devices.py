@@ -407,7 +407,7 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
         call_in_bluesky_event_loop(asyncio.sleep(0.0))
     except RuntimeError:
         raise RefusedError(
-            "bluesky: create the RunEngine before the devices, which it runs: RE = RunEngine()"
+            "bluesky: there is no RunEngine yet; create it before the devices: RE = RunEngine()"
         ) from None
     with rig_locked(rig), open_rig(rig, folder, operator) as opened, ExitStack() as ended:
         filters = {band.slot: band.name for band in rig.filter_wheel.filters}

@@ -251,7 +251,7 @@ _NO_PATH: Final = """\
 # [[indenter.path]] begins a pose that a press by finite elements moves through, in place of depth_mm; there may be
 # several: across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg, increments.
 """
-_NO_SURFACE: Final = "\n# [surface] gives the pressed coat's shape. It excludes [indenter]: leave that out with it.\n"
+_NO_SURFACE: Final = "\n# [surface] gives the shape of the pressed coat; leave [indenter] out if you give [surface].\n"
 _OF_PACKAGES: Final = ("parameters", "package")
 
 
@@ -325,7 +325,7 @@ def read_design(path: Path) -> FingerDesign:
         preset = written.pop("preset", None)
         if tables.get("kind") == "sensor":
             raise RecordError(
-                f"{path}: is the design of a classic sensor, where that of a finger is needed; 'finray design init "
+                f"{path}: is the design of a classic sensor, but the design of a finger is needed; 'finray design init "
                 "flat-70x35' writes one"
             )
         if preset is None:

@@ -140,7 +140,7 @@ def read_npy(path: Path, what: str = "an npy file", error: type[FinrayError] = R
         if dtype.kind not in "fiub":
             raise ValueError(f"holds {dtype}, not real numbers")
         if len(content) - file.tell() != math.prod(shape) * dtype.itemsize:
-            raise ValueError(f"holds another number of bytes than {dtype} of shape {shape} needs")
+            raise ValueError(f"does not hold the number of bytes that {dtype} of shape {shape} needs")
         return _shaped(content[file.tell() :], shape, fortran, dtype)
     except Exception as fault:  # of a damaged header numpy raises nearly anything
         raise error(
@@ -180,7 +180,7 @@ def _member(
         if size > room_bytes:
             raise ValueError(f"array {name!r} has {size / MB:.4g} MB, more than the {room_bytes / MB:.4g} MB allowed")
         if entry.file_size != file.tell() + size:
-            raise ValueError(f"array {name!r} holds another number of bytes than {dtype} of shape {shape} needs")
+            raise ValueError(f"array {name!r} does not hold the number of bytes that {dtype} of shape {shape} needs")
         return _shaped(file.read(size), shape, fortran, dtype)
 
 

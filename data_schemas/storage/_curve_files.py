@@ -85,8 +85,8 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
     ):
         told = ", ".join(f"{name} {peak:g} %" for name, peak in zip(CHANNELS, peaks, strict=True))
         raise CurveError(
-            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times larger or "
-            f"smaller than the others, which no colour camera has: give all three in per cent of one full scale"
+            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times larger or smaller "
+            "than the others, which no colour camera has: give all three in per cent of the same full scale"
         )
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue

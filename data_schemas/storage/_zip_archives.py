@@ -178,7 +178,7 @@ def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:
         (kind not in (0, wanted), "is a link or a device"),
         (bool(entry.flag_bits & _ENCRYPTED), "is encrypted"),
         (entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED),
-         "is compressed by another method than deflate"),
+         "is compressed by a method other than deflate"),
         (entry.compress_type == zipfile.ZIP_STORED and entry.file_size != entry.compress_size,
          "is stored uncompressed, but states two sizes"),
         (entry.file_size > MOST_GROWTH * entry.compress_size + FREE_BYTES,

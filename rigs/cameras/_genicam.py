@@ -618,7 +618,7 @@ class GenicamCamera:
 
     def _require_connection(self) -> _Connection:
         if self._connection is None:
-            raise LostError(f"{self._where}: the connection broke before; check its cable and power")
+            raise LostError(f"{self._where}: the connection broke earlier; check its cable and power")
         return self._connection
 
     def _give_up(self) -> None:

@@ -148,8 +148,8 @@ def _raw_images(path: Path, where: str) -> tuple[StoredImage, ...]:
         exposure_s = listed[file.name] if file.name in listed else read_exposure_s(file)
         if exposure_s is None:
             raise RefusedError(
-                f"{where}: the exposure of {file.name} is unknown; add {EXPOSURES_NAME} with the columns "
-                "file,exposure_s to the folder"
+                f"{where}: the exposure of {file.name} is unknown; add {EXPOSURES_NAME} with the columns 'file' and "
+                "'exposure_s' to the folder"
             )
         images.append(StoredImage(file.name, partial(read_raw, file), exposure_s))
     return tuple(images)
@@ -169,7 +169,8 @@ def _listed_exposures(path: Path, where: str) -> dict[str, float]:
             listed[cells[at_file]] = finite_number(cells[at_time])
     except (ValueError, IndexError) as error:
         raise RefusedError(
-            f"{where}: {path} cannot be read ({error}); it needs the header file,exposure_s and seconds as numbers"
+            f"{where}: {path} cannot be read ({error}); it needs the columns 'file' and 'exposure_s', with exposures "
+            "as numbers in seconds"
         ) from None
     wrong = [name for name, exposure_s in listed.items() if not exposure_s > 0.0]
     if wrong:

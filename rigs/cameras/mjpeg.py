@@ -155,8 +155,8 @@ class MjpegCamera:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(
-                    f"{self._name}: pictures arrive, but none of them was exposed after the request and came in "
-                    f"time; the camera or its server hangs, or the network is slow"
+                    f"{self._name}: pictures arrive, but none that was exposed after the request came in time; the "
+                    "camera or its server hangs, or the network is slow"
                 )
 
     def _require_online(self, part: Part) -> None:
@@ -170,7 +170,7 @@ class MjpegCamera:
         if online is not None and online.lower() != "true":
             raise BadFrameError(
                 f"{self._name}: uStreamer has no camera and serves a stand-in picture; check the camera's cable and "
-                "the option --device"
+                "uStreamer's option --device"
             )
 
     def _require_size(self, height_px: int, width_px: int) -> None:

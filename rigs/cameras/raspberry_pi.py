@@ -63,8 +63,8 @@ def chosen_mode(settings: CameraSettings, modes: Sequence[Mode], name: str) -> M
     if asked not in fitting:
         allowed = ", ".join(f"{width} x {height}" for width, height in sorted(fitting)) or "none"
         raise RefusedError(
-            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; with these bits it "
-            f"has (width x height, cut to begin with red): {allowed}; correct the rig file"
+            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; with this bit "
+            f"depth it has (width x height, cropped so that the first pixel is red): {allowed}; correct the rig file"
         )
     return fitting[asked]
 
@@ -412,9 +412,9 @@ def _picamera2() -> Any:
         return import_module("picamera2").Picamera2
     except ImportError as error:
         raise MissingExtraError(
-            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): sudo apt install "
-            "python3-picamera2, and make the virtual environment with --system-site-packages; from another computer "
-            "use driver 'mjpeg'"
+            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): install it with 'sudo apt "
+            "install python3-picamera2', and make the virtual environment with --system-site-packages; from another "
+            "computer use driver 'mjpeg'"
         ) from None
 
 

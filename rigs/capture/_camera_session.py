@@ -257,7 +257,9 @@ class _Recorder:
                 self._store.prove()
                 return
             again = self._store.take_back()
-            self._journal.append("refused", text=f"{told[0]}; {len(again)} dark frames before it are not used")
+            self._journal.append(
+                "refused", text=f"{told[0]}; the {len(again)} dark frames that were taken before are not used"
+            )
             if is_last:  # a camera that is late for good was late in the light, too
                 self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=told[0])
                 self._store.set_aside()
@@ -359,8 +361,9 @@ class _Recorder:
                 raise
             full_dn, top_dn = self._store.full_scale_dn, brightest_dn(again.counts[self._store.region])
             raise RefusedError(
-                f"camera: its counts stop at {top_dn:.0f} DN of {full_dn} DN: {again.exposure_s:.3g} s give no more, "
-                f"while at {first.exposure_s:.3g} s the light is as before; check bit_depth, or raise the gain"
+                f"camera: its counts stop at {top_dn:.0f} DN, below full scale ({full_dn} DN): a longer exposure of "
+                f"{again.exposure_s:.3g} s gives no more, and the light did not change (checked at "
+                f"{first.exposure_s:.3g} s); check bit_depth, or raise the gain"
             ) from changed
 
     def _takes(self, shots: list[Shot], phase: str) -> deque[Callable[[], None]]:
@@ -464,7 +467,7 @@ def level_notes(saturation_s: dict[str, float], plan: CameraPlan, camera: Camera
             )
         elif sat_s > LARGEST_CHANNEL_RATIO * first_s:
             notes.append(
-                f"{name} saturates {sat_s / first_s:.0f} times later than the brightest channel: charge that spills "
-                "over from saturated neighbours may disturb it"
+                f"{name} saturates only at {sat_s / first_s:.0f} times the exposure at which the brightest channel "
+                "saturates: charge that spills over from saturated neighbours may disturb it"
             )
     return tuple(notes)

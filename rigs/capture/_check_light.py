@@ -218,9 +218,9 @@ class CameraInUseError(CaptureError):
 def _why_not(rig: RigFile, plan: CheckPlan) -> str | None:
     """Return why no light can be switched on in the middle of an exposure."""
     if rig.is_simulated:
-        return "the clock of a simulated rig advances only with its actions: nothing switches within an exposure"
+        return "not possible on a simulated rig: no light can be switched while a simulated exposure runs"
     if rig.lamp.driver == "manual":
-        return "not possible on this rig: its lamp is switched by hand; it needs a lamp or LED that finray switches"
+        return "not possible on this rig: its lamp is switched by hand; this needs a lamp or LED that finray switches"
     return "the plan states 0 tries (latency_tries)" if plan.latency_tries == 0 else None
 
 

@@ -70,7 +70,8 @@ def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> L
             )
     if plan.force_limit_n is not None and plan.force_limit_n > most_n:
         raise CaptureError(
-            f"plan.force_limit_n = {plan.force_limit_n:g} N must not exceed the {most_n:g} N of the rig file"
+            f"plan.force_limit_n = {plan.force_limit_n:g} N must not exceed force_limit_n = {most_n:g} N of the rig "
+            "file"
         )
     if plan.known_mass is not None and plan.known_mass.mass_kg * HEAVIEST_GRAVITY_M_PER_S2 > rig.load_cell.capacity_n:
         raise CaptureError(

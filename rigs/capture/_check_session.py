@@ -186,10 +186,10 @@ class CheckFrames:
         with shine(self._opened, "lamp"):
             if not self.shows(band):
                 raise CaptureError(
-                    f"camera: the white tile behind filter {band.name} differs by more than "
-                    f"{100 * AS_METERED_REL:.0f} % from its metering at the same exposure: the wheel slipped, the "
-                    "lamp changed, or the camera does not expose for as long as it reports. Repair the wheel if its "
-                    "results failed, let the lamp warm up, switch the camera off and on, then check again"
+                    f"camera: the white tile behind filter {band.name} differs by more than {100 * AS_METERED_REL:.0f} "
+                    "% from its metering at the same exposure: the wheel slipped, the lamp changed, or the camera "
+                    "does not expose for as long as it reports. Repair the wheel if its checks failed, let the lamp "
+                    "warm up, switch the camera off and on, then check again"
                 )
 
     def brightest_filter(self) -> BandPassFilter:
@@ -242,9 +242,9 @@ class CheckFrames:
         exposures_s = [longest_s / 4, longest_s / 2, longest_s]
         if exposures_s[0] < self._settings.shortest_exposure_s * (1 - 1e-9):
             raise SaturatedError(
-                f"filter {band.name}: the white tile is exposed for {longest_s:g} s, and a quarter of that is below "
-                f"the camera's shortest exposure, {self._settings.shortest_exposure_s:g} s; dim the lamp or close the "
-                "aperture"
+                f"filter {band.name}: the white tile is exposed for {longest_s:g} s, and a quarter of that, which this "
+                f"check also needs, is below the camera's shortest exposure, {self._settings.shortest_exposure_s:g} s; "
+                "dim the lamp or close the aperture"
             )
         white = self.white_step(band)
         dark = replace(white, frame_type="dark", light="off")
@@ -388,8 +388,8 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
         raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")
     if plan.photodiode is not None and not rig.is_simulated and plan.photodiode == rig.laser.address:
         raise CaptureError(
-            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, whose board opening it would reset; "
-            "give the port of the photodiode's own board"
+            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, and opening that port would reset "
+            "the laser's board; give the port of the photodiode's own board"
         )
     return planned_filters(plan.filters, rig)
 
@@ -535,7 +535,10 @@ class _Recorder(CheckRecorder[CheckFacts]):
             self._ended = f"a light does not report whether it is off ({error})"
             return
         if on:
-            self._errors[section] = f"{on[0]}: is reported on after this section; pull its plug before you open the box"
+            self._errors[section] = (
+                f"{on[0]}: still reports that it is on at the end of this part of the check; pull "
+                "its plug before you open the box"
+            )
             self._ended = f"the {on[0]} is on"
 
     def _block_layer(self, opened: OpenRig) -> None:

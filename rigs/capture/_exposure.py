@@ -232,7 +232,7 @@ class CheckedCamera:
         if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
                 f"camera: {exposure_s:g} s were requested for {step.label}, but the camera reads back "
-                f"{raw.exposure_s:g} s (within {100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct "
+                f"{raw.exposure_s:g} s (they may differ by {100 * EXPOSURE_TOLERANCE_REL:.0f} %); correct "
                 "shortest_exposure_s and longest_exposure_s of the rig"
             )
 
@@ -374,13 +374,13 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reads no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
+            f"filter wheel: reports no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
             "wheel is moving or was reconnected: check whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(
-            f"filter wheel: reads slot {position} {when} the exposure of {step.label}, but slot {step.slot} "
-            "is needed; the wheel slipped or is not where the operator left it: home it and start again"
+            f"filter wheel: reports slot {position} {when} the exposure of {step.label}, but slot {step.slot} is "
+            "needed; the wheel slipped or is not where the operator left it: home it and start again"
         )
     return position
 
@@ -391,8 +391,8 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     for name, on in states.items():
         if on != (name == planned):
             raise (CaptureError if on else LightLostError)(
-                f"{name}: reads back {'on' if on else 'off'} where the step needs the light state '{planned}'; check "
-                "its connection, switch and interlock"
+                f"{name}: reports that it is {'on' if on else 'off'}, but the state that this step needs is "
+                f"'{planned}'; check its connection, switch and interlock"
             )
     return tuple(name for name, on in states.items() if on)
 
@@ -481,14 +481,14 @@ class TactileCamera:
         if not math.isfinite(raw.exposure_s):
             if not self._one_exposure:
                 raise RefusedError(
-                    "camera: does not report its exposure time, so a bracket would be the same image several times; "
-                    "give one exposure in exposures_s (the one set at the camera's server)"
+                    "camera: does not report its exposure time, so all images of a bracket would have the same "
+                    "exposure; give one exposure in exposures_s (the one set at the camera's server)"
                 )
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were requested, but the camera reads back {raw.exposure_s:g} s (within "
-                f"{100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of the plan or the "
-                "limits of the rig"
+                f"camera: {exposure_s:g} s were requested, but the camera reads back {raw.exposure_s:g} s (they may "
+                f"differ by {100 * EXPOSURE_TOLERANCE_REL:.0f} %); correct the exposures of the plan or the limits of "
+                "the rig"
             )
         self._require_images(raw)
         self._frames.require_new(raw)

@@ -252,8 +252,8 @@ def compare_with_last(
         return FilterProof(
             verdict="contradicted",
             text=f"behind filter {common[worst]} the white tile differs from the earlier session by a factor of "
-            f"{np.exp(off[worst]):.2f} (up to {np.exp(LARGEST_DRIFT_LN):.2f} is drift): a filter was changed, soiled "
-            "or slipped, or the lamp was replaced",
+            f"{np.exp(off[worst]):.2f} (a factor of up to {np.exp(LARGEST_DRIFT_LN):.2f} counts as drift): a filter "
+            "was changed, soiled or slipped, or the lamp was replaced",
         )
     return FilterProof(
         verdict="confirmed",

@@ -163,8 +163,8 @@ def calibration_notes(rig: TactileRig, calibration: LoadCellCalibration) -> tupl
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != settings.address:
         notes.append(
-            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if this is another cell, "
-            f"calibrate it"
+            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if a different cell is "
+            "connected, calibrate that cell"
         )
     if settings.force_limit_n > heaviest_n:
         notes.append(
@@ -469,8 +469,8 @@ def weigh(
         moved_n = zeros[-1][0] - zeros[0][0]
         if abs(moved_n) > ZERO_MOVED_SHARE * settings.force_limit_n:
             raise CaptureError(
-                f"load cell: reads {moved_n:+.3g} N after the mass was taken off, but 0 before; take everything off "
-                "the cell, fasten the cell, then check again"
+                f"load cell: reads {moved_n:+.3g} N after the mass was taken off, but 0 N before it was placed; take "
+                "everything off the cell, fasten the cell, then check again"
             )
     empty = [0.5 * (before[0] + after[0]) for before, after in pairwise(zeros)]
     return LaidMass(

@@ -240,7 +240,8 @@ class FrameStore:
             if max(now) > self.visible_dn_per_s(raw.exposure_s):
                 raise SignalChangedError(
                     f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off, and at most "
-                    f"{self.visible_dn_per_s(raw.exposure_s):.3g} DN/s are allowed"
+                    f"{self.visible_dn_per_s(raw.exposure_s):.3g} DN/s are allowed; close the box, and check that all "
+                    "lights are off"
                 )
             return
         visible_dn_per_s = self.visible_dn_per_s(min(raw.exposure_s, metered.exposure_s))
@@ -275,10 +276,10 @@ class FrameStore:
         changed = self.other_colour(step, now, metered)
         if changed is not None:
             raise SignalChangedError(
-                f"camera: {step.label} shows another colour than at metering: the ratio of two of its channels "
-                f"changed by {changed}, which a light that only dims does not cause. The wheel stopped between two "
-                "filters, or other light came in, or the dark level drifted: home the wheel, close the box, let the "
-                "camera warm up, then continue or resume: all steps are metered again"
+                f"camera: {step.label} shows a different colour from that at metering: the ratio of two of its "
+                f"channels changed by {changed}, which a light that only dims does not cause. The wheel stopped "
+                "between two filters, or other light came in, or the dark level drifted: home the wheel, close the "
+                "box, let the camera warm up, then continue or resume: all steps are metered again"
             )
 
     def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:

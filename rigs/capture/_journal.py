@@ -347,7 +347,7 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     counted = [f"{name} {number}" for name, number in times.items()]
     retaken = sum(line["event"] == "refused" for line in lines)
     lost = sum(line["event"] == "light lost" for line in lines)
-    said = [f"{times.total()} exchanges were repeated ({', '.join(counted)})"] if faults else []
+    said = [f"{times.total()} messages to devices were repeated ({', '.join(counted)})"] if faults else []
     said += [f"{retaken} frames were taken again"] if retaken else []
     said += [f"a light went off or stopped answering, number of times: {lost}"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")

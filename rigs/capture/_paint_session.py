@@ -89,8 +89,8 @@ MOST_REPAIRS = 5
 MOST_OLD_FRAMES = 1
 """In a session, delivered as new ones: a second one tells of a camera that is late for good."""
 UNPROVEN_NOTE = (
-    "no lamp or laser step gives a good signal at the exposures of the session, so it is not shown that the camera "
-    "exposed as requested after the last dark frames"
+    "no step with lamp or laser gives a good signal at the exposures of this session, so nothing shows that the "
+    "camera still exposed as requested during the last dark frames"
 )
 
 
@@ -166,7 +166,7 @@ class PaintRecorder:
         unlike = self._unlike_before(steps)
         if unlike is None:
             self._remember(steps)
-            agree = f"agree within {100 * SAME_SHARE:.0f} % with what the mended rig gives"
+            agree = f"agree within {100 * SAME_SHARE:.0f} % with those of the repaired rig"
             text = f"the meterings and frames from before the repair {agree}"
             self._journal.append(AS_BEFORE_EVENT, frames=len(self._store.frames), text=text)
         else:
@@ -185,10 +185,10 @@ class PaintRecorder:
         for step in (step for step in lit if step.label in self._before):  # none where all was set aside
             exposures_s, before = self._before[step.label]
             if not self._store.are_same(self._rates[step], before, exposures_s[0]):
-                return f"{step.label} gave another signal before the repair"
+                return f"{step.label} gave a different signal before the repair"
             now, old = self._metered(step), Metered(before, exposures_s[0] / max(self._plan.bracket))
             if self._store.other_colour(step, now, old) is not None:  # or its frames would be refused for ever
-                return f"{step.label} showed another colour before the repair"
+                return f"{step.label} showed a different colour before the repair"
         places = {(step.frame_type, step.filter_name, step.tilt_deg): step for step in lit}
         for frame in self._store.frames:
             kind = "fluorescence" if frame.frame_type == "fluorescence repeat" else frame.frame_type
@@ -376,9 +376,9 @@ class PaintRecorder:
             self._healed += not leaks
             if self._healed <= MOST_OLD_FRAMES:
                 return
-            self._set_aside("two frames differed from their metering, and the frames after them did not")
+            self._set_aside("twice a frame differed from its metering and the next frame did not")
             raise SignalChangedError(
-                f"{error}; the next frame agreed with the metering, which now happened twice: the camera delivers "
+                f"{error}; the next frame agreed with the metering. This has now happened twice: the camera delivers "
                 "earlier frames as new ones, or the light flickers; restart the camera, check the light, then resume"
             ) from error
 

@@ -78,7 +78,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
 def require_named(field: str, name: str) -> None:
     """Refuse an empty name of what is captured: files and records are named after it."""
     if not name.strip():
-        raise CaptureError(f"{field}: is empty; write the name for files and records")
+        raise CaptureError(f"{field}: is empty; write a name, which files and records will carry")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
@@ -234,9 +234,7 @@ def planned_presses(plan: TactilePlan, folder: Path) -> tuple[PlannedPress, ...]
 def _pose(path: Path, line: int, header: list[str], cells: list[str]) -> PlannedPress:
     """Read one row; an empty cell is a value that is not given."""
     if len(cells) != len(header):
-        raise RecordError(
-            f"{path}, line {line}: the number of cells is {len(cells)}, the header has {len(header)} columns"
-        )
+        raise RecordError(f"{path}, line {line}: has {len(cells)} columns, but the header has {len(header)}")
     texts = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
     try:
         return PlannedPress.model_validate({name: _value(text) for name, text in texts.items()})
@@ -272,10 +270,12 @@ def tactile_shots(plan: TactilePlan, camera: CameraSettings, presses: int) -> tu
     exposures_s = plan.bracket_s(camera)
     allowed = f"{camera.shortest_exposure_s:g} to {camera.longest_exposure_s:g} s"
     if not exposures_s:
-        raise CaptureError(f"plan.bracket_powers: none of its exposures is within {allowed}, which the rig allows")
+        raise CaptureError(
+            f"plan.bracket_powers: none of its exposures is within {allowed}, which the rig allows; change the powers"
+        )
     outside = [t for t in exposures_s if not camera.shortest_exposure_s <= t <= camera.longest_exposure_s]
     if outside:
-        raise CaptureError(f"plan.exposures_s: {outside[0]:g} s is out of range; the rig allows {allowed}")
+        raise CaptureError(f"plan.exposures_s: {outside[0]:g} s is out of range; the rig allows {allowed}: correct it")
     groups: list[tuple[TactileFrameType, int, int]] = []
     if plan.board is not None:
         groups += [("board", place, 1) for place in range(1, plan.board.images + 1)]
@@ -296,12 +296,12 @@ def instruction(shot: TactileShot, plan: TactilePlan, presses: tuple[PlannedPres
     if shot.frame_type == "board" and plan.board is not None:
         if plan.board.on_pad and shot.place == 1:
             return (
-                f"Lay the ChArUco board flat where the coat of the pad is, printed face to the camera; place 1 of "
-                f"{plan.board.images}."
+                "Lay the ChArUco board flat where the coat of the pad is, with its printed face to the camera (place "
+                f"1 of {plan.board.images})."
             )
         return (
-            f"Hold the ChArUco board still and in view; place {shot.place} of {plan.board.images}, each with another "
-            f"turn and tilt."
+            f"Hold the ChArUco board still and in view (place {shot.place} of {plan.board.images}); turn and tilt it "
+            "differently at each place."
         )
     if shot.frame_type == "no contact":
         if shot.place == 0:

@@ -350,8 +350,8 @@ class PressRounds:
             for at_mm in self._presser.steps(start_mm, stage.step_mm):
                 if self._is_too_deep(at_mm):
                     raise RefusedError(
-                        f"stage: {points[-1]:.3g} N at deepest_mm = {self._plan.deepest_mm:g} mm, but the stop is "
-                        f"tried at {stop_n:g} N; raise deepest_mm, or lower force_limit_n of the plan"
+                        f"stage: the force is {points[-1]:.3g} N at deepest_mm = {self._plan.deepest_mm:g} mm, but the "
+                        f"stop must be tried at {stop_n:g} N; raise deepest_mm, or lower force_limit_n of the plan"
                     )
                 rise_n = points[-1] - points[-2] if len(points) > 1 else rise_n
                 self._require_room(stop_n, rise_n, f"try a stop at {stop_n:g} N")
@@ -424,8 +424,9 @@ class PressRounds:
         points = list(zip(pressed.point_depths_mm, pressed.point_forces_n, strict=True))
         if len(points) < 2:
             raise RefusedError(
-                f"stage: {points[0][1]:.3g} N at the first touch already, so it is not known how much one step of "
-                f"{step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the rig file"
+                f"stage: the force is {points[0][1]:.3g} N at the first touch already, so it is not known how much one "
+                f"step of {step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the rig "
+                "file"
             )
         end_mm, end_n = points[-1]
         begin_mm, begin_n = next(

@@ -350,7 +350,8 @@ def verify_session(folder: Path) -> SessionCheck:
         session, is_sealed = None, True
     if not is_sealed:
         notes.append(
-            f"{SESSION_NAME} was written by a version without seals, so that only {MANIFEST_NAME} protects its values"
+            f"{SESSION_NAME} was written by a version that stored no checksum of it in the journal, so that only "
+            f"{MANIFEST_NAME} protects its values"
         )
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)

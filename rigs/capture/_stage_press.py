@@ -191,7 +191,10 @@ class StagePress:
         try:
             self._stage.stop()
             if (places := self._stage.places_mm()) is None:
-                told = "its position is unknown after the stop; move the indenter off the pad by hand, then home it"
+                told = (
+                    "does not know its position after the stop; move the indenter off the pad by hand, then home "
+                    "the stage"
+                )
             elif stage.into_pad * (places[stage.press_axis] - stage.clear_mm) < -LEAST_STEP_MM:
                 told = (
                     f"stands at {stage.press_axis} = {places[stage.press_axis]:.3f} mm, and clear_mm = "
@@ -201,9 +204,9 @@ class StagePress:
                 self._stage.move(stage.press_axis, stage.clear_mm, stage.travel_speed_mm_per_s, lambda: None)
                 told = f"moved away to {stage.press_axis} = {stage.clear_mm:g} mm"
         except UnsafeError as worse:
-            unsafe, told = worse, f"the indenter was not moved away: {worse}"
+            unsafe, told = worse, f"could not move the indenter away: {worse}"
         except CaptureError as other:
-            told = f"the indenter was not moved away: {other}"
+            told = f"could not move the indenter away: {other}"
         with suppress(CaptureError):
             self._note("stage after stop", text=told)
         if unsafe is not None:
@@ -365,7 +368,7 @@ class StagePress:
                 if strongest_n > limit_n:
                     raise ForceLimitError(
                         f"stage: the search for the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
-                        f"by one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
+                        f"in one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
                         "rig file",
                         strongest_n,
                         limit_n,
@@ -432,7 +435,7 @@ class StagePress:
                 self._require_seen(touched)
         if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
             raise RefusedError(
-                f"stage: {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, but until_force_n = "
+                f"stage: the force is {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, but until_force_n = "
                 f"{press.until_force_n:g} N; raise depth_mm, or lower until_force_n"
             )
         self._require_same_touch(touched, first_mm)
@@ -457,8 +460,8 @@ class StagePress:
         most_mm = room_n / (margin * stiffness) if stiffness > 0.0 else math.inf
         if stiffness * step_mm > room_n or min(most_mm, step_mm) < 0.5 * LEAST_STEP_MM:
             raise RefusedError(
-                f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm of steps the cell reads {now.mean_n:.3g} N, "
-                f"and the next one of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which would exceed or nearly "
+                f"stage: after {abs(at_mm - touched.points[0][0]):.2g} mm in steps, the cell reads {now.mean_n:.3g} N, "
+                f"and the next step of {step_mm:.2g} mm adds {stiffness * step_mm:.3g} N, which would exceed or nearly "
                 f"reach the limit of {limit_n:g} N; shorten step_mm of the rig file, or {PRESS_LESS}"
             )
         return min(step_mm, most_mm)
@@ -489,10 +492,10 @@ class StagePress:
         got_n = max(force.mean_n, 0.0) * stage.touch_step_mm / way_mm
         if needed_n > got_n:
             raise CaptureError(
-                f"load cell: too noisy for this pad: touch_step_mm = {stage.touch_step_mm:g} mm changes the "
-                f"force by {1e3 * got_n:.2g} mN, and only {1e3 * needed_n:.2g} mN can be distinguished from "
-                "noise and drift; take a longer touch_step_mm, shield the cell's wires, or read it 10 times "
-                "a second"
+                f"load cell: too noisy for this pad: a step of touch_step_mm = {stage.touch_step_mm:g} mm changes the "
+                f"force by {1e3 * got_n:.2g} mN, but only a change of {1e3 * needed_n:.2g} mN or more can be "
+                "distinguished from noise and drift; take a longer touch_step_mm, shield the cell's wires, or read it "
+                "10 times a second"
             )
 
     def _require_same_touch(self, touched: _Touched, first_mm: float) -> None:

@@ -140,7 +140,9 @@ def after_exception(opened: OpenRig, repeats: int, watch: LaserWatch | None = No
         try:
             with opened.laser.lit():
                 if not opened.laser.state():
-                    raise LightLostError("laser: reads back off in the block that lights it; check interlock and key")
+                    raise LightLostError(
+                        "laser: reports that it is off right after it was switched on; check interlock and key"
+                    )
                 if watch is not None:
                     require_seen(watch, opened.clock.monotonic_s)
                 start_s = opened.clock.monotonic_s()

@@ -218,7 +218,7 @@ class LightContract:
     def test_state_is_asked_afresh(self, light: Light, switch_off_behind: Callable[[], None] | None) -> None:
         """A light that somebody else switched off is not reported on."""
         if switch_off_behind is None:
-            pytest.skip("nothing here switches this light off behind the driver's back")
+            pytest.skip("this test has no means of switching this light off other than its driver")
         with light.lit():
             assert light.state() is True
             switch_off_behind()

@@ -72,7 +72,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--with-laser",
         action="store_true",
-        help="switch the laser of the rig on for moments; close the box first, with goggles on everyone in the room",
+        help="switch the laser of the rig on briefly; first close the box and let everyone in the room wear goggles",
     )
 
 
@@ -116,7 +116,7 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
     return [
         *lines,
         f"{device_title('filter wheel', rig.filter_wheel)}; TURNS through all of its slots",
-        f"{device_title('lamp', rig.lamp)}; IS SWITCHED ON for moments",
+        f"{device_title('lamp', rig.lamp)}; IS SWITCHED ON briefly",
         f"{device_title('laser', laser)} ({label}); {shines}",
     ]
 
@@ -270,4 +270,4 @@ def lamp(request: pytest.FixtureRequest, named_rig: NamedRig) -> "Iterator[Light
 def _require_operator(config: pytest.Config, driver: str) -> None:
     """Skip what a person does by hand where pytest keeps the terminal to itself."""
     if driver == "manual" and config.getoption("capture") != "no":
-        pytest.skip("NOT TESTED: the operator is asked at the terminal, which pytest leaves to the tests only with -s")
+        pytest.skip("NOT TESTED: the operator is asked at the terminal, and tests can ask there only with pytest -s")

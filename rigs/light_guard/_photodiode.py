@@ -123,8 +123,8 @@ class Photodiode:
                             f"finray needs {FIRMWARE_MAJOR}.x: flash rigs/lights/firmware/photodiode.c to the board"
                         )
         raise TimedOutError(
-            f"{self._name}: does not greet within {GREET_WITHIN_S:g} s; check the cable, the address and that its "
-            "board runs rigs/lights/firmware/photodiode.c"
+            f"{self._name}: sends no greeting within {GREET_WITHIN_S:g} s; check the cable, the address "
+            "and that its board runs rigs/lights/firmware/photodiode.c"
         )
 
 

@@ -308,7 +308,7 @@ class ArduinoSwitch:
                 if self._marks:
                     end_s, quiet_s = last_s, max(self._marks[-1] + min(late_s, LATE_S), now_s) + QUIET_S
             elif now_s > end_s:
-                raise TimedOutError(f"{self._name}: does not stop sending; check that this port belongs to it")
+                raise TimedOutError(f"{self._name}: does not stop sending; check that this port belongs to the light")
         self._marks.clear()
         self._unanswered = 0
         self._out_of_step = False

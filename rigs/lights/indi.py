@@ -62,7 +62,9 @@ class IndiPanel:
         """Switch on a connection that stands."""
         self._client.change("Switch", _CONTROL, {_ON if on else _OFF: "On"}, end_s)
         if self._ask(end_s) != on:
-            raise RefusedError(f"{self.name}: does not turn {'on' if on else 'off'}{self._client.said()}")
+            raise RefusedError(
+                f"{self.name}: does not turn {'on' if on else 'off'}{self._client.said()}; check the light"
+            )
 
     def _reading(self, end_s: float) -> bool:
         """Ask twice on a connection that stands."""

@@ -227,7 +227,7 @@ def help_screen(screen: Screen, numbers: SessionNumbers, address: str) -> list[s
     """Return the lines of the help."""
     lines = [screen.painted(" Keys of a session in finray live", REVERSE, screen.columns)]
     lines += ["  " + lights_line(screen, numbers), "", *(f"  {text}" for text in HELP), f"  {address}", ""]
-    lines += ["  Picture: square root of the counts; red (without colours: X) is at full scale.",
+    lines += ["  Picture: square root of the counts; full-scale pixels are red (no colours: X).",
               "  Any key goes back."]  # fmt: skip
     return [*lines, *[""] * screen.lines][: screen.lines]
 

@@ -63,9 +63,9 @@ HELP: Final = (
     "Ctrl-L         draw the screen again",
     "q Ctrl-C       end, with the lamp off",
     "",
-    "Picture: square root of the counts; red (without colours: X) is at full scale.",
-    "Focus: turn the lens until it no longer grows. Its best counts from the",
-    "last change of region, filter, exposure or lamp.",
+    "Picture: square root of the counts; full-scale pixels are red (no colours: X).",
+    "Focus: turn the lens until its value stops growing. 100 % is the best since",
+    "the last change of region, filter, exposure or lamp.",
     "The laser is never lit in this view.",
     "",
     "Any key goes back to the picture.",
@@ -395,7 +395,7 @@ def exposure_aid(numbers: LiveNumbers) -> tuple[str, str]:
     if numbers.saturated_fraction > 0:
         return "clipped: expose less [-]", RED
     if numbers.brightest_fraction < DARK_SHARE and not numbers.lamp:
-        return "the lamp is off: [o] lights it", YELLOW
+        return "the lamp is off: [o] switches it on", YELLOW
     if numbers.brightest_fraction < GOOD_SHARE[0]:
         return "expose more [+], 70 % is best", YELLOW
     if numbers.brightest_fraction > GOOD_SHARE[1]:

@@ -249,17 +249,18 @@ class WatchedSession(SessionWatch):
                 self.end()
             case _:
                 raise CaptureError(
-                    f"live view: {str(command)[:80]}: a session takes lamp (false), question and answer, or end (true)"
+                    f"live view: {str(command)[:80]}: is not understood; a session takes lamp (false), question and "
+                    "answer, or end (true)"
                 )
 
     def darken(self) -> None:
         """Have all lights off at once, and keep them off until a person allows them."""
         with self._changed:
             if not self._has_lights:
-                self._publish(told="the view cannot switch the light of the finger: switch it off at the finger")
+                self._publish(told="this view cannot switch the finger's own light: switch it off at the finger")
                 return
             self._kept_off, self._presses = True, self._presses + 1
-            self._publish(kept_off=True, told="light off by hand: no light goes on before you confirm it")
+            self._publish(kept_off=True, told="you switched the light off: no light goes on again until you confirm it")
             if self._shining:
                 insist = threading.Timer(DARK_WITHIN_S, self._insist, (self._presses,))
                 insist.daemon = True
@@ -314,7 +315,7 @@ class WatchedSession(SessionWatch):
 
     def mend(self, what: str) -> bool:
         """Have something mended; return whether it is done."""
-        text = f"{what}. The lights are off. Repair it and close the box, or end here."
+        text = f"{what}. The lights are off. Repair the fault and close the box, or end here."
         is_mended = self.ask_person("MEND THE RIG", text, ("done", "end")) == "done"
         if is_mended:
             self._publish(headline="METERING", text="all steps are metered again", phase="metering", done=0)

@@ -115,7 +115,7 @@ class Hx711Cell:
                         return f"{match[1].decode()}.{match[2].decode()}"
         said = f"says {heard[-1][:32]!r}" if heard else "says nothing"
         raise TimedOutError(
-            f"{self._name}: {said} and does not greet within {GREET_WITHIN_S:g} s; check the cable, the address "
+            f"{self._name}: {said} and sends no greeting within {GREET_WITHIN_S:g} s; check the cable, the address "
             "('finray rig detect') and that the board runs rigs/load_cells/firmware"
         )
 

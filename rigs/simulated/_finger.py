@@ -323,7 +323,9 @@ class FingerCamera:
         if exposure_s <= 0.0:
             raise RefusedError(f"camera: an exposure of {exposure_s:g} s is not possible; give more than 0 s")
         if exposure_s + FRAME_OVERHEAD_S > deadline_s:
-            raise TimedOutError(f"camera: {exposure_s:g} s cannot be done within {deadline_s:g} s; allow more time")
+            raise TimedOutError(
+                f"camera: an exposure of {exposure_s:g} s cannot be done within {deadline_s:g} s; allow more time"
+            )
         captured_utc = self.state.clock.utc()
         self.state.advance(exposure_s + FRAME_OVERHEAD_S)
         settings = self.settings

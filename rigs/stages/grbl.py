@@ -54,7 +54,7 @@ _ALARMS: Final = {
     1: "a limit switch was hit",
     2: "the end of a move lies beyond the controller's soft limits",
     3: "it was reset while it moved",
-    4: "the probe was in the wrong state",
+    4: "the probe input was in the wrong state",
     5: "the probe touched nothing",
     6: "homing was reset",
     7: "a door was opened while it homed",
@@ -63,7 +63,7 @@ _ALARMS: Final = {
     10: "homing found no second switch of a double axis",
 }
 _ERRORS: Final = {
-    2: "a number has a wrong form",
+    2: "a number has the wrong format",
     3: "it does not know this command",
     5: "homing is switched off in it ($22)",
     8: "it is not idle",
@@ -106,7 +106,7 @@ class GrblStage:
         self._link, self._settings = link, settings
         self._name = f"stage at {settings.address}"
         self._is_known, self._is_unanswered, self._offset_mm = False, False, {"X": 0.0, "Y": 0.0, "Z": 0.0}
-        self._drives = "was not sent to any place"
+        self._drives = "was not told to move"
         self._numbers: dict[int, float] = {}
         self._firmware = self._reset(GREET_WITHIN_S)
         self._numbers = self._read_settings()
@@ -253,7 +253,9 @@ class GrblStage:
             watch()
             now_s = time.monotonic()
             if now_s > end_s:
-                raise TimedOutError(f"{self._name}: {axis} did not arrive at {to_mm:.3f} mm in time")
+                raise TimedOutError(
+                    f"{self._name}: {axis} did not arrive at {to_mm:.3f} mm in time; check motor and switches"
+                )
             if now_s - heard_s > ANSWER_WITHIN_S or (not is_taken and now_s - taken_s > TAKEN_WITHIN_S):
                 raise TimedOutError(f"{self._name}: did not answer in time while it moved; check its cable and supply")
             line = self._line_now()
@@ -265,10 +267,14 @@ class GrblStage:
                 arrivals = arrivals + 1 if is_there and is_taken else 0
                 if report.state not in ("Idle", "Jog", "Run"):
                     self._is_known = False
-                    raise LostError(f"{self._name}: is in state {report.state} in the middle of a move")
+                    raise LostError(
+                        f"{self._name}: is in state {report.state} in the middle of a move; check the "
+                        "controller, then home the stage"
+                    )
                 if report.state == "Idle" and is_taken and not is_there and now_s - taken_s > START_WITHIN_S:
                     raise WrongPositionError(
-                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm"
+                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm; check its "
+                        "motor"
                     )
                 is_asked = False
             # a question whose answer nobody waits for would answer the next one
@@ -352,7 +358,7 @@ class GrblStage:
                 if state in (report.state, f"{report.state}:{report.substate}"):
                     return state
             if time.monotonic() > end_s:
-                raise TimedOutError(f"{self._name}: is still in state {report.state}")
+                raise TimedOutError(f"{self._name}: is still in state {report.state}; check the controller")
             time.sleep(ASK_EVERY_S)
 
     def _line_now(self) -> str | None:

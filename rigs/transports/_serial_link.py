@@ -364,8 +364,8 @@ class SerialLink:
         renamed = f". These USB ports are there now: {there}"
         if not self._address.startswith(LASTING_NAMES):
             renamed += (
-                "; one that was plugged in again may have another name, so write its link under "
-                f"{LASTING_NAMES}, which stays, into the rig file"
+                "; a port that was plugged in again may have a new name, so write its lasting link under "
+                "{LASTING_NAMES} into the rig file"
             )
         return LostError(
             f"{self._name}: cannot be opened ({system_words(error)}); check cable and power, and the address with "

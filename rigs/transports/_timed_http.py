@@ -231,7 +231,10 @@ class MultipartStream:
             ) from None
         except (OSError, http.client.HTTPException) as error:
             if headers is not None:
-                raise BadFrameError(f"{self._name}: the stream ended in the middle of a picture") from None
+                raise BadFrameError(
+                    f"{self._name}: the stream ended in the middle of a picture; check the network and "
+                    "the camera server"
+                ) from None
             raise LostError(
                 f"{self._name}: the stream ended ({system_words(error)}); start the camera server again"
             ) from None

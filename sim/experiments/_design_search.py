@@ -531,8 +531,8 @@ def search_designs(
         )
     if not least <= screened <= evaluations - 2:
         raise SimulateError(
-            f"--screen: of {evaluations} evaluations {least} to {evaluations - 2} can screen the limits of {count} "
-            f"parameters, got {screened}; give --screen or --evaluations accordingly"
+            f"--screen: {screened} is not possible; with {evaluations} evaluations and {count} parameters, {least} to "
+            f"{evaluations - 2} are allowed: change --screen or --evaluations"
         )
     run = _Run(space, tuple(objectives), evaluate, evaluations, progress)
     run.add(space.place(space.start), "start")
@@ -556,7 +556,7 @@ def search_designs(
     rng = np.random.default_rng([seed, evaluations])
     run.add(best_design(emulators, np.ones(len(objectives)), rng, run.is_worth_trying), "chosen")
     if run.evaluated[-1].failure:
-        raise SimulateError(f"the design of the best expected value cannot be evaluated: {run.evaluated[-1].failure}")
+        raise SimulateError(f"the design with the best expected value cannot be evaluated: {run.evaluated[-1].failure}")
     return run.searched()
 
 

@@ -136,7 +136,10 @@ def study_finger_stiffness(
         share=share,
         rows=tuple(rows),
         orders=tuple(_orders(names, rows)),
-        notes=("dimensions of the skeleton are assumed unless the design's origin says otherwise; unvalidated",),
+        notes=(
+            "dimensions of the skeleton are assumed unless the design's origin says otherwise; the results are not "
+            "validated",
+        ),
     )
 
 

@@ -296,8 +296,8 @@ class FingerEvaluator:
         """
         if renderer.variant() == SCALAR_VARIANT:
             raise SimulateError(
-                "fingers are evaluated on paths that are traced once for all paints, which needs a compiled variant; "
-                "leave out --engine scalar (LLVM must be installed)"
+                "to evaluate a finger, paths are traced once for all paints, which needs a compiled variant of "
+                "Mitsuba; leave out --engine scalar (LLVM must be installed)"
             )
         self.settings = settings or EvaluationSettings()
         if min(self.settings.rays, self.settings.repeats, self.settings.draws) < 1:

@@ -266,7 +266,8 @@ def doubts(radiance: Floats) -> tuple[str, ...]:
         best = brightest_deg(ANGLES_DEG, mean)
         if best in (ANGLES_DEG[0], ANGLES_DEG[-1]):
             notes.append(
-                f"{name}: highest at {best:g} deg, at the end of the search range or beyond it; its limits do not hold"
+                f"{name}: highest at {best:g} deg, at the end of the search range or beyond it; the limits of its "
+                "uncertainty are not valid"
             )
         misfit = (mean - _cosines(ANGLES_DEG) @ _smooth(ANGLES_DEG, mean)) * mean / mean.max()
         misfit_rel = float(np.sqrt(np.mean(misfit**2)) / mean.max())

@@ -119,7 +119,7 @@ def sampled_paints(
             reason = str(error)
             continue
         return look
-    raise SimulateError(f"no draw of the paints out of {_MOST_TRIES} conserves energy; the last one: {reason}")
+    raise SimulateError(f"none of {_MOST_TRIES} draws of the paints conserves energy; the last draw: {reason}")
 
 
 def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> SamplePaints:

@@ -361,8 +361,8 @@ def require_compiled(finger: PaintedFinger) -> None:
     """
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "the other objectives trace light once for all angles, which needs a compiled variant; leave out "
-            "--engine scalar (LLVM must be installed), or give --objectives intensity"
+            "the other objectives trace light once for all angles, which needs a compiled variant of Mitsuba; leave "
+            "out --engine scalar (LLVM must be installed), or give --objectives intensity"
         )
 
 

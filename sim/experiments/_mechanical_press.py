@@ -111,8 +111,8 @@ def grasp_record(design: FingerDesign, task: GraspTask, grasp: Grasp) -> ObjectG
         lost=grasp.lost,
         notes=(
             grasp.near.contact,
-            "the object is rigid and of even density; the jaws are rigid, and nothing else touches the "
-            "object; the least resistance uses the limits of friction of the last increment",
+            "the object is rigid and of uniform density; the jaws are rigid, and nothing else touches the object; the "
+            "least resistance to a move is computed with the friction limits of the last increment",
         ),
     )
 
@@ -221,7 +221,7 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
     # a barrier's indenter is one node more
     if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
         raise SimulateError(
-            "the stored increment has another mesh of this design, which another version made; press from the start"
+            "the stored increment has a different mesh of this design, made by another version; press from the start"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
 
@@ -236,14 +236,17 @@ def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: Fi
     had, has = record.points_per_side or 2, math.isqrt(points.places.shape[1])
     at_border = np.flatnonzero((points.places != face_points(coat, has, to_border=False).places).any(axis=(1, 2)))
     if had != has:
-        other = f"at {had} x {had} points of each face of the coat, and with this indenter it now acts at {has} x {has}"
+        other = (
+            f"at {had} x {had} points of each face of the coat; with this indenter, contact now acts at {has} x {has}"
+        )
     elif not record.points_on_border and _touches(record, indenter, mesh, at_border):
-        other = "at no point of the coat's border, which touches the indenter here and now takes part"
+        other = "at no point of the coat's border, which the indenter touches here and where contact now acts too"
     else:
         return
     raise SimulateError(
-        f"the stored increment is of an older version, whose contact may have acted {other}: its forces would not be "
-        "consistent with those that follow. Press from the start: leave out --resume, and give another --out"
+        f"the stored increment is of an older version, in which contact may have acted {other}. The forces of that "
+        "increment would not be consistent with those that follow. Press from the start: leave out --resume, and give "
+        "another --out"
     )
 
 
@@ -311,14 +314,13 @@ def _mechanics(
         motion=None if pressed.motion is None else _motion(design, pressed, pressed.motion),
         notes=(
             pressed.contact,
-            *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
+            *([f"{pressed.crossing}: the results from that increment on are not physical"] if pressed.crossing else []),
             *([pressed.unstable] if pressed.unstable else []),
             *_chord_note(design, preset, pressed),
             f"gel: {_law(gel)}, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",
             *([f"skeleton: {_law(design.mechanics.skeleton)}"] if design.mechanics.skeleton.law is not None else []),
-            f"mesh: on the 70 x 35 finger this fineness gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force than "
-            f"an "
-            "infinitely fine one, extrapolated",
+            f"mesh: on the 70 x 35 finger, a mesh this fine gives {100 * FORCE_EXCESS_REL[preset]:.0f} % more force "
+            "than an infinitely fine mesh (extrapolated)",
             "dimensions of the skeleton are assumed unless the design's origin says otherwise; forces are unvalidated",
             *notes,
         ),
@@ -373,7 +375,8 @@ def _chord_note(design: FingerDesign, preset: Preset, pressed: PressedFinger) ->
     told = f"the force is some {100 * short:.0f} % below that with barrier contact"
     if not touched:
         told = (
-            "it touches no node, or has passed between them, so that the force comes from the mesh, not from the finger"
+            "the indenter touches no node, or has passed between the nodes, so that the force comes from the mesh, "
+            "not from the finger"
         )
     return (f"between nodes the coat passes into the indenter: {told}",)
 

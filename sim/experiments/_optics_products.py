@@ -283,7 +283,7 @@ def capture_twin(
         seed,
         light_angle_deg=nominal_angle_deg,
         name="digital twin",
-        source="digital twin: a render with the hidden true paints, another light angle, coating and seed",
+        source="digital twin: a render with the hidden true paints and a different light angle, coating and seed",
         led_drift_rel=LED_DRIFT_REL,
     )
 

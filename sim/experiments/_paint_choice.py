@@ -353,10 +353,10 @@ def _notes(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws], bands: Seq
     ]
     coverage = dict.fromkeys(note for one in bands for note in coverage_notes(finger.response, one))
     return (
-        f"light angle {light.angle_deg:g} deg, as in the design; another pair may have another best angle",
+        f"light angle {light.angle_deg:g} deg, as in the design; a different pair may have a different best angle",
         f"camera response: {finger.response[0].source}",
-        "the coat reflects as at the middle wavelengths of the first pair's bands, which is wrong by 1 % for "
-        "exchanged paints",
+        "the coat's reflectance is taken at the middle of the first pair's bands, which is wrong by 1 % for exchanged "
+        "paints",
         *elsewhere,
         *coverage,
     )
@@ -380,6 +380,6 @@ def _check(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws]) -> None:
         raise SimulateError(f"a finger carries two paints, got {len(paints)}; give --paint FILE at least twice")
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "paints are compared on paths that are traced once for all of them, which needs a compiled variant; leave "
-            "out --engine scalar (LLVM must be installed)"
+            "to compare paints, paths are traced once for all of them, which needs a compiled variant of Mitsuba; "
+            "leave out --engine scalar (LLVM must be installed)"
         )

@@ -517,7 +517,7 @@ def _stokes_shift(colour: PaintColour, paints: Sequence[PaintStandIn]) -> PaperS
     return PaperStatement(
         subject=f"Stokes shift, {colour} paint",
         paper=f"{printed:.0f} nm, chosen by hand from reflectance data",
-        measure="between the maxima (and between the emission's and all of the absorption plateau)",
+        measure="between the maxima (in brackets: from the ends of the absorption plateau)",
         ours=_each(
             paints,
             lambda p: f"{p.stokes_shift_nm:.0f} nm ({p.stokes_shift_low_nm:.0f} to {p.stokes_shift_high_nm:.0f} nm)",
@@ -549,7 +549,7 @@ def _share_of_light(paints: Sequence[PaintStandIn]) -> PaperStatement:
     low, high = PRINTED_BAND
     least, most = min(p.energy_yield for p in paints) / high, max(p.energy_yield for p in paints) / low
     return PaperStatement(
-        subject="reradiation, read as share of the light",
+        subject="reradiation, if the percentage is the share of all light",
         paper=_printed_band(),
         measure="all emitted light / the laser's light",
         ours=_each(
@@ -607,7 +607,7 @@ def _whole_emission(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="emission curve, from the whole spectrum",
         paper=CURVE,
-        measure=f"error of the curve fitted to the whole emission (of our log-normal); {GOOD}",
+        measure=f"error of the curve fitted to the whole emission (in brackets: of our log-normal); {GOOD}",
         ours=_each(
             paints, lambda p: f"{_percent(p.paper_curve.residual_rel, 1)} ({_percent(p.our_curve.residual_rel, 1)})"
         ),
@@ -625,7 +625,7 @@ def _emission_from_bands(paints: Sequence[PaintStandIn]) -> PaperStatement:
     return PaperStatement(
         subject="emission curve, from eight filter bands",
         paper=CURVE + ", fitted by hand to eight bands",
-        measure=f"error of the curve, {GOOD} (share of the measured emission in its 95 % band)",
+        measure=f"error of the curve, {GOOD} (in brackets: share of the measured emission in the 95 % band)",
         ours=_each(paints, lambda p: f"the paper's curve {words(p.paper_fit)}, ours {words(p.our_fit)}"),
         verdict=_verdict([p.paper_fit.residual_rel <= GOOD_FIT_REL for p in paints]),
         why="between and beyond the bands the equation determines the curve, and real paint differs from it by more "
@@ -662,7 +662,8 @@ def _patch(colour: PaintColour, paints: Sequence[PaintStandIn]) -> PaperStatemen
         measure="closest of 24 patches by reflectance",
         ours=_each(paints, words),
         verdict=("holds in part" if any(named) else "does not hold") if testable else "cannot be tested",
-        why="even the closest patch misses the measured reflectance by far more than a measurement does: measure it"
+        why="even the closest patch differs from the measured reflectance by far more than a measurement's error: "
+        "measure the paint"
         if testable
-        else "the stand-ins fluoresce green but look yellow by daylight; even their closest patch misses by far",
+        else "the stand-ins fluoresce green but look yellow by daylight; even their closest patch is far off",
     )

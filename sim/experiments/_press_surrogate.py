@@ -189,7 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the mesh of the finger has no mirror symmetry, so its halves cannot train each other")
+        raise SimulateError("the mesh is not symmetric about the plane x = 0, which training a surrogate needs")
     return np.asarray(image)
 
 
@@ -228,7 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("in every press ribs pass through each other from the start, so none can be trained on")
+        raise SimulateError("in every press ribs pass through each other from the start, so none can be used to train")
     return whole
 
 
@@ -397,7 +397,7 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
         what = f"press {number + 1} in the folder belongs to another design, mesh or version"
-        raise SimulateError(f"{what}; give another --out, or remove the folder of its presses")
+        raise SimulateError(f"{what}; give another --out, or remove that folder")
 
 
 def press_to_teach(
@@ -548,7 +548,7 @@ class SurrogateFinger:
         """
         record = self.record
         if why := record.family.outside(indenter):
-            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change this value, or press by finite elements")
         design = record.design.model_copy(update={"indenter": indenter})
         contact = self.finger.press(rigid_indenter(design), indenter.depth_mm)
         place = record.family.features(indenter)[None]
@@ -622,8 +622,8 @@ class SurrogateFinger:
             pressure_mpa=last.contact.pressure_mpa * float(last.force_n[1] / last.contact.force_n[1]),
             touch_mm=last.contact.touch_mm,
             unreached="",
-            contact="contact on the finger condensed to its coat, frictionless; strains and bending learned from "
-            "presses with penalty contact",
+            contact="frictionless contact, computed with the finger condensed to its coat; strains and bending "
+            "learned from presses with penalty contact",
             kind="penalty",
         )
 
@@ -641,7 +641,7 @@ class SurrogateFinger:
         """
         self.check_design(design)
         if why := self.record.family.outside(design.indenter):
-            raise SimulateError(f"the surrogate does not cover {why}; change it, or press by finite elements")
+            raise SimulateError(f"the surrogate does not cover {why}; change this value, or press by finite elements")
         depth, least = design.indenter.depth_mm, self.record.family.depth_mm[0]
         pushes = [push for k in range(increments) if (push := depth * (k + 1) / increments) >= least]
         answers = [self.press(design.indenter.model_copy(update={"depth_mm": push})) for push in pushes]
@@ -656,7 +656,7 @@ class SurrogateFinger:
         notes = (
             f"a surrogate: in {100 * bars.level_share:.0f} % of presses the force is within {last.force_bar_n:.2g} N, "
             f"the coat within {1e3 * last.surface_bar_mm:.2g} um (root mean square) of finite elements",
-            "it gives no energies; pressures are those of the condensed contact, scaled to add up to the force",
+            "the surrogate gives no energies; pressures are the condensed finger's, scaled to add up to the force",
         )
         return pressed, bars, notes, last.doubt
 

@@ -126,7 +126,8 @@ def press_with_render(
     finger = scene.finger
     if how.with_pose_response and scene.shapes is not None:
         raise SimulateError(
-            "the response to the pose is rendered for the analytic press only; leave it out, or leave the surfaces out"
+            "the response to the pose can be rendered for the analytic press only; leave out --pose-response or "
+            "--surfaces"
         )
     if how.with_pose_response:
         moved_designs(finger.design)  # what cannot be moved is told before anything is rendered
@@ -294,7 +295,10 @@ def known_inputs(
         names=(*names, "camera response"),
         keys=(*keys, camera_key),
         evaluations=(*_evaluations(evaluations), "B"),
-        sources=(*sources, f"{finger.response[0].source}; at the LED stated as {100 * at_led:.0f} %"),
+        sources=(
+            *sources,
+            f"{finger.response[0].source}; its uncertainty at the LED's wavelengths is stated as {100 * at_led:.0f} %",
+        ),
         factors=np.array([*factors, _camera_factors(finger, chains, draws, _rng(camera_key))], dtype=np.float32),
     )
 
@@ -563,7 +567,8 @@ def _require_chains(press: SimulatedPress, before: PaintBands, after: PaintBands
     if not press.chains:
         raise SimulateError(
             f"{press.name} ({press.label}) does not hold each chain of fluorescence separately, as other paints need; "
-            "render with --level b in a compiled variant (--engine llvm), or change camera and white balance only"
+            "render with --level b in a compiled variant of Mitsuba (--engine llvm), or change camera and white "
+            "balance only"
         )
     require_same_reflectance(before.reflectance, after.reflectance)
     require_near_bands(before.bands, after.bands)

@@ -105,7 +105,7 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
             if getattr(capture, name) != getattr(first, name):
                 raise SimulateError(
                     f"{capture.name}: {name} = {getattr(capture, name)} differs from {getattr(first, name)} of "
-                    f"{first.name}; one gain holds for all captures: give those of one setting"
+                    f"{first.name}; one gain holds for all captures: give captures of one setting"
                 )
         if capture.contact.shape != first.contact.shape:
             raise SimulateError(f"{capture.name} and {first.name} differ in size; give captures of one camera")
@@ -356,15 +356,16 @@ def _without_dark_channels(model: PictureModel, name: str) -> tuple[PictureModel
     told = tuple(
         f"the {channel} channel is left out of the fit: "
         + (f"the captures hold no light in it (mean below {_DARK_DN:g} DN)" if lit else f"{name} has no light in it")
-        + "; what shines in it alone is not determined"
+        + "; lights that only this channel sees are not determined"
         for channel, lit, seen in zip(CHANNELS, designed, captured, strict=True)
         if not (lit and seen)
     )
     kept = np.flatnonzero(designed & captured)
     if not len(kept):
         raise SimulateError(
-            f"no channel holds light both in the captures and by the design: {'; '.join(told)}; give the lights of the "
-            "design the channels that the camera sees them in (lights.channel), or check the exposure of the captures"
+            f"no channel holds light both in the captures and in the design's pictures: {'; '.join(told)}; give the "
+            "lights of the design the channels that the camera sees them in (lights.channel), or check the exposure "
+            "of the captures"
         )
     blocks = replace(model.captured, values=model.captured.values[:, kept], variance=model.captured.variance[:, kept])
     mix, exponents = model.mix[kept], model.exponents[:, kept]
@@ -544,7 +545,8 @@ def _combinations(numbers: Sequence[FreeParameter], theta: Floats) -> tuple[str,
         members = [n.name for n, weight in zip(numbers, direction, strict=True) if abs(weight) > _MEMBER]
         if size > _DETERMINED and len(members) > 1:
             told.append(
-                f"{', '.join(members)}: {100 * min(size, 1.0):.0f} % of the prior's width is left in a combination"
+                f"{', '.join(members)}: one combination of these numbers keeps {100 * min(size, 1.0):.0f} % of its "
+                "width in the prior"
             )
     return tuple(told)
 

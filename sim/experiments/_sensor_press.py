@@ -233,7 +233,7 @@ def _require_gel(height_mm: Floats, what: str) -> None:
     if lowest < _THINNEST_GEL_MM:
         raise SimulateError(
             f"{what} reaches down to {lowest:.4g} mm above the inner face; at least {_THINNEST_GEL_MM:g} mm of gel "
-            "must be left (check unit_mm, and whether holds is depth or height)"
+            "must be left (check unit_mm, and whether surface.holds is depth or height)"
         )
 
 
@@ -422,8 +422,8 @@ def planned_presses(pad_design: FingerDesign, ball_radius_mm: float, count: int)
     if deepest > _DEEPEST_IN_RADII * ball_radius_mm or room.min() <= 0.0:
         raise SimulateError(
             f"a ball of {ball_radius_mm:g} mm radius does not fit a pad of {pad.length_mm:g} x {pad.width_mm:g} x "
-            f"{pad.thickness_mm:g} mm: it needs a radius above {deepest / _DEEPEST_IN_RADII:.3g} mm, and contacts that "
-            f"leave room on the pad (half-width {margin:.3g} mm)"
+            f"{pad.thickness_mm:g} mm: the ball needs a radius above {deepest / _DEEPEST_IN_RADII:.3g} mm, and "
+            f"contacts that leave room on the pad (half-width {margin:.3g} mm)"
         )
     designs = []
     for k in range(count):

@@ -334,7 +334,8 @@ def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
-                f"{capture.name}: has another ball, scale or size than {first.name}; train with one ball and one camera"
+                f"{capture.name}: ball, scale or size differ from those of {first.name}; train with one ball and one "
+                "camera"
             )
     presses = [_press(capture, taught=True) for capture in captures]
     for capture, press in zip(captures, presses, strict=True):
@@ -392,10 +393,10 @@ def predict_on_gel(gel: FittedGel, capture: TactileCapture) -> SimulatedPress:
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
-        raise SimulateError(f"{capture.name}: has another size than the training presses of the model")
+        raise SimulateError(f"{capture.name}: its size differs from that of the model's training presses")
     if _ball_and_scale(capture) != (gel.ball_radius_mm, gel.mm_per_px):
         raise SimulateError(
-            f"{capture.name}: has another ball or scale than the training presses of the model, of "
+            f"{capture.name}: ball or scale differ from those of the model's training presses, a ball of "
             f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
         )
     ratio = (

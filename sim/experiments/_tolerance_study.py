@@ -131,11 +131,11 @@ def tolerance_inputs(
     for field, size in (vary or {}).items():
         if _nominal(design, paints, field) is None:
             raise SimulateError(
-                f"--vary {field}: is not a number of this finger that its light depends on. Give a dotted path of "
-                f"the design, with the axis last for a place; usual are {', '.join(ranges)}"
+                f"--vary {field}: is not a number of this finger that its light depends on. Give a dotted path of the "
+                f"design, with the axis last for a position; usual are {', '.join(ranges)}"
             )
         if not (np.isfinite(size) and size >= 0.0):
-            raise SimulateError(f"--vary {field}={size:g}: a half-range is 0 (left out) or more")
+            raise SimulateError(f"--vary {field}={size:g}: a half-range must be 0 (the number is left out) or more")
         ranges[field] = (size, "given")
     return tuple(
         ToleranceInput(field, float(_nominal(design, paints, field) or 0.0), float(size), _unit(field), origin)

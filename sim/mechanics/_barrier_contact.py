@@ -414,10 +414,9 @@ class BarrierPress(DrivenContact):
         own = self.contact.pairs_of_parts(u)
         parts = f"touch each other at {own} pairs" if own else "do not touch each other"
         return (
-            f"barrier contact: surfaces keep a gap of less than {reach:g} mm, from which the push is measured "
-            f"(least gap: {self.contact.gap_mm(u):.3g} mm); "
-            f"friction {self.contact.barrier.friction_ratio:g} between indenter and finger, none elsewhere; "
-            f"the ribs and other parts of the finger {parts}"
+            f"barrier contact: surfaces repel each other at gaps below {reach:g} mm, and the push counts from that gap "
+            f"(smallest gap: {self.contact.gap_mm(u):.3g} mm); friction {self.contact.barrier.friction_ratio:g} "
+            f"between indenter and finger, none elsewhere; the ribs and other parts of the finger {parts}"
         )
 
     def accept(self, state: State) -> None:

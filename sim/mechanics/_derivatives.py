@@ -34,8 +34,8 @@ from sim.mechanics._press import PressedFinger, PressSettings
 FloatArray = NDArray[np.float64]
 
 _UNSTABLE = (
-    "the equilibrium is about to snap (its stiffness has a negative curvature): it has no derivative that holds over "
-    "any distance; press less deeply, or take differences of whole presses"
+    "the finger is about to snap (its stiffness has a negative curvature): a derivative there would not hold over any "
+    "distance; press less deeply, or take differences of whole presses"
 )
 
 

@@ -202,7 +202,9 @@ class _GrippingFinger:
         except NoEquilibriumError as stuck:
             if not stuck.reason:  # the time is up
                 raise
-            raise NoEquilibriumError(f"a finger finds no equilibrium: {stuck.reason}; close with less force") from stuck
+            raise NoEquilibriumError(
+                f"no equilibrium of a finger was found: {stuck.reason}; close with less force"
+            ) from stuck
         return self._on_object(self._found.state.u_mm)
 
     def _on_object(self, u: FloatArray) -> FloatArray:
@@ -537,8 +539,8 @@ def grasp_object(
         )
     if task.mass_kg > 0.0 and task.down != "near" and design.indenter.friction == 0.0:
         raise SimulateError(
-            "indenter.friction = 0: nothing but friction carries a weight along or across the fingers; give the "
-            "coefficient between object and coat, or no mass"
+            "indenter.friction = 0: nothing but friction carries a weight along or across the fingers; set "
+            "indenter.friction, the coefficient between object and coat, or leave --mass out"
         )
     settings = settings or PressSettings()
     steps = task.steps

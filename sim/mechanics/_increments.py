@@ -315,7 +315,7 @@ def load_increments(
                     )
                     stuck.reason = reached.failure
                     raise stuck
-                tell(f"an increment of {part:.3g} in place of {2.0 * part:.3g}: {reached.failure}")
+                tell(f"increment shortened from {2.0 * part:.3g} to {part:.3g}: {reached.failure}")
                 continue
             if load.take_up is not None and (taken_up := load.take_up(reached.state, aim)):
                 tell(taken_up)

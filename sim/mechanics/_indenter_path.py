@@ -139,7 +139,7 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     """
     header, rows = read_csv(path, "the poses of an indenter (CSV)", SimulateError, comments=True)
     known = tuple(PathPose.model_fields)
-    allowed = f"the columns are {', '.join(known)}; one that is left out counts as zero"
+    allowed = f"the columns are {', '.join(known)}; a column that is left out counts as zero"
     unknown = [name for name in header if name not in known]
     if unknown:
         raise SimulateError(f"{path}: the column {unknown[0][:60]!r} is unknown; {allowed}")
@@ -261,7 +261,7 @@ def press_along(
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
-        raise SimulateError("--contact barrier cannot follow a path: it does not turn the indenter; leave it out")
+        raise SimulateError("--contact barrier cannot turn an indenter along [[indenter.path]]; leave --contact out")
     watch = Watch(progress, path.total, settings.budget_s)
     touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)

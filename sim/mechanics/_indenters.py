@@ -555,6 +555,6 @@ def _check_close(off_mm: float, places: int) -> None:
     """Check that the least height is known well enough."""
     if off_mm > _ENOUGH_MM:
         raise SimulateError(
-            f"the mesh of the indenter runs along the pad in {places} places, so its first touch is known only to "
-            f"{off_mm:.2g} mm, and {_ENOUGH_MM:g} mm is needed; give an STL of fewer triangles"
+            f"the indenter's mesh is nearly parallel to the pad in {places} places, so its first touch is known only "
+            f"to {off_mm:.2g} mm, and {_ENOUGH_MM:g} mm is needed; give an STL of fewer triangles"
         )

@@ -255,7 +255,7 @@ class LoadedFinger:
         for step in reached:
             if step.equilibrium.unstable:
                 raise SimulateError(
-                    f"at {step.fraction:.3g} of the load {step.equilibrium.unstable}; give a smaller load or more "
+                    f"at {step.fraction:.3g} of the load, {step.equilibrium.unstable}; give a smaller load or more "
                     "increments"
                 )
         return reached
@@ -362,9 +362,8 @@ def check_force(design: FingerDesign, force_n: float) -> None:
         raise SimulateError(f"force_n = {force_n:g} N: a press needs a finite force above 0 N")
     if design.indenter.shape == "mesh" or design.indenter.friction > 0.0:
         raise SimulateError(
-            "a press to a force works without friction and for indenters of simple shape: give indenter.friction = 0 "
-            "and a cylinder, "
-            "ball or cuboid, or press to a depth"
+            "with --force, the indenter must be a cylinder, ball or cuboid without friction: set indenter.shape and "
+            "indenter.friction = 0, or press to a depth (leave --force out)"
         )
 
 
@@ -374,7 +373,10 @@ class _DrivenIndenter(PenaltyTouch):
     def __init__(self, design: FingerDesign, preset: Preset | None, folder: Path) -> None:
         indenter, finger = rigid_indenter(design, folder), finger_mesh(design, preset)
         if indenter.body is None:
-            raise SimulateError("a press to a force needs a cylinder, ball or cuboid; press a mesh to a depth")
+            raise SimulateError(
+                "with --force, indenter.shape must be cylinder, ball or cuboid; press a mesh to a "
+                "depth (leave --force out)"
+            )
         self._node = len(finger.nodes_mm)
         mesh = replace(finger, nodes_mm=np.concatenate([finger.nodes_mm, [indenter.touching.position_mm]]))
         self._step_mm = STEPS[preset or design.mesh.preset].pad_mm

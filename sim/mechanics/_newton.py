@@ -52,8 +52,8 @@ _CLOSE_BY, _NEAR = 1e-3, 0.05
 _FIRST_WAYS = (1e-2, 1e-3, 1e-4, 1e-5)
 _MOST_SADDLES = 10  # that one search leaves
 _UNSTABLE = (
-    "the search could not leave an unstable equilibrium (a shape has a stiffness of {:.2g} times what it has without "
-    "negative curvature): a rib or a film may buckle there, and the force may change"
+    "the search could not leave an unstable equilibrium (in one deformation shape the stiffness is {:.2g} times that "
+    "without the terms of negative curvature): a rib or a film may buckle there, and the force may change"
 )
 _UNTESTED = "it could not be tested whether an equilibrium is stable: a rib or a film may buckle there"
 

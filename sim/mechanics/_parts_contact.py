@@ -39,7 +39,7 @@ def check_parts_contact(had_mm: float | None, asked: str, may_act: bool) -> None
     """
     if had_mm is None or may_act:
         return
-    why = contact_library_failure() or f"--contact {asked} does not have it"
+    why = contact_library_failure() or f"--contact {asked} leaves this contact out"
     raise SimulateError(
         f"the press to continue has contact between the parts of the finger from a push of {had_mm:.4g} mm on, and "
         f"{why}; continue it with --contact auto, or press from the start"
@@ -93,13 +93,13 @@ class PartsContact:
             When surfaces of the finger pass through each other there, after a push of `pushed_mm`.
         """
         self._continued = (
-            ", from which it was continued, and its record does not state that contact between them acted: no record "
-            "of a version before 7 does. Press from the start if it may have acted"
+            ", from which this press was continued. The record of that increment does not state whether contact "
+            "between the parts acted (a record before version 7 never does). Press from the start if it may have acted"
         )
         if found := self.surfaces.crossing(self._clean_mm):
             raise SimulateError(
-                f"at the increment to continue from, a push of {pushed_mm:.4g} mm, {found}, which is not physical; "
-                "continue from an increment before, or with --contact penalty, or press from the start"
+                f"at the increment to continue from (a push of {pushed_mm:.4g} mm), {found}. This is not physical: "
+                "continue from an earlier increment, or with --contact penalty, or press from the start"
             )
 
     def _of_parts(self) -> "BarrierContact":

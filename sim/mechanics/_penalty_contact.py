@@ -271,8 +271,8 @@ class PenaltyTouch:
         if sunk <= MOST_SUNK_SHARE * side:
             return ""
         return (
-            f"; a node of the coat lies {sunk:.2f} mm in the indenter, of which {MOST_SUNK_SHARE * side:.2f} mm is "
-            f"allowed: its edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
+            f"; a node of the coat lies {sunk:.2f} mm inside the indenter ({MOST_SUNK_SHARE * side:.2f} mm is "
+            f"allowed): the indenter's edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
         )
 
     def force_n(self, u: FloatArray) -> FloatArray:

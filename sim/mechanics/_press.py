@@ -267,7 +267,7 @@ class PressHistory:
         """Return that surfaces pass through each other at the increment that is continued, or nothing."""
         if self._before is None or not (found := self._surfaces.crossing(self._before.displacement_mm[-1])):
             return ""
-        return f"from a push of {self._before.depth_mm[-1]:.4g} mm or less on {found}"
+        return f"from a push of {self._before.depth_mm[-1]:.4g} mm or less on, {found}"
 
     def add(self, depth_mm: float, equilibrium: Equilibrium) -> None:
         """Add an increment, before its contact is moved on."""
@@ -281,9 +281,9 @@ class PressHistory:
         stored += sum(tie.energy(state.u_mm) for tie in self._ties)
         lost = self._touch.friction_work_n_mm(state.u_mm)
         if not self.crossing and (found := self._surfaces.crossing(state.u_mm)):
-            self.crossing = f"from a push of {depth_mm:.4g} mm on {found}"
+            self.crossing = f"from a push of {depth_mm:.4g} mm on, {found}"
         if not self.unstable and equilibrium.unstable:
-            self.unstable = f"at a push of {depth_mm:.4g} mm {equilibrium.unstable}"
+            self.unstable = f"at a push of {depth_mm:.4g} mm, {equilibrium.unstable}"
         self._states.append(state)
         self._iterations.append(equilibrium.iterations)
         self._rows.append((depth_mm, stored, contact, lost, *self._touch.force_n(state.u_mm)))
@@ -590,7 +590,7 @@ def _pressed_again(
     if clean is not None and found.depth_mm[-1] < clean.depth_mm[-1]:
         return replace(
             clean,
-            unreached=f"contact of all parts came to {found.depth_mm[-1]:.4g} mm; with penalty contact, {crossing}",
+            unreached=f"all-parts contact reached {found.depth_mm[-1]:.4g} mm only; with penalty contact, {crossing}",
         )
     return replace(found, contact=f"{found.contact}; with penalty contact, which was tried first, {crossing}")
 

@@ -59,7 +59,8 @@ class MouldSizes:
             )
         if not 0.0 <= self.lining_mm <= 1.0:
             raise SimulateError(
-                f"lining_mm = {self.lining_mm:g} of a mould must be 0 to 1 mm: the sheet laid on its bottom"
+                f"lining_mm = {self.lining_mm:g} of a mould must be 0 to 1 mm: the thickness of the sheet that is laid "
+                "on the mould's floor"
             )
 
 
@@ -111,7 +112,7 @@ def mould_solid(design: FingerDesign, sizes: MouldSizes) -> Solid:
     """
     if design.pad.package is not None:
         raise SimulateError(
-            f'pad.shape = "{design.pad.shape}" is one of {design.pad.package}, which finray cannot write '
+            f'pad.shape = "{design.pad.shape}" comes from {design.pad.package}, which finray cannot write '
             "as STEP; write the mould as STL"
         )
     pad = _lined(design.pad, sizes.lining_mm)
@@ -138,7 +139,7 @@ def _lined(pad: GelPad, lining_mm: float) -> GelPad:
         return pad
     if pad.shape not in _BENT_TO:
         raise SimulateError(
-            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to the {pad.shape} pad of pad.shape; leave it out"
+            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to pad.shape = {pad.shape}; leave lining_mm out"
         )
     radius = None if pad.radius_mm is None else pad.radius_mm + lining_mm
     return pad.model_copy(update={"thickness_mm": pad.thickness_mm + lining_mm, "radius_mm": radius})

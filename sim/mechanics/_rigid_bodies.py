@@ -432,7 +432,7 @@ def read_body(path: Path) -> TriangleMesh:
     mesh = _welded(vertices, triangles)
     check_closed_body(mesh, str(path))
     if not len(mesh.triangles):
-        raise SimulateError(f"{path}: all its triangles have no area; an indenter must be a closed body")
+        raise SimulateError(f"{path}: none of its triangles has an area; an indenter must be a closed body")
     corners = mesh.vertices_mm[mesh.triangles]
     volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
     if abs(volume) < _LEAST_VOLUME * float(np.ptp(mesh.vertices_mm, axis=0).max()) ** 3:

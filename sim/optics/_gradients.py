@@ -293,7 +293,7 @@ def _check(renderer: ModuleType, with_respect_to: Sequence[Parameter], paths: Pr
         )
     if renderer.variant() == SCALAR_VARIANT:
         raise MissingExtraError(
-            f"gradients need a compiled variant of the renderer, not {SCALAR_VARIANT}; install LLVM 17 or newer"
+            f"gradients need a compiled variant of Mitsuba, not {SCALAR_VARIANT}; install LLVM 17 or newer"
         )
 
 

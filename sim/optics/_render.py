@@ -546,7 +546,8 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType, settings: RenderSe
         )
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
         raise SimulateError(
-            "light.beam_exponent: a scalar variant renders Lambertian panels (1) only; take 1, or install LLVM 17+"
+            "light.beam_exponent: a scalar variant renders Lambertian panels (beam_exponent = 1) only; set it to 1, "
+            "or install LLVM 17+"
         )
 
 
@@ -634,7 +635,9 @@ def pathwise_integrator(
 ) -> Any:
     """Return the integrator of level c; its channels are the bands, all chains of a band together."""
     if renderer.variant() == SCALAR_VARIANT:
-        raise SimulateError("level c runs in compiled variants only; install LLVM 17 or newer, or take level b")
+        raise SimulateError(
+            "level c runs only in compiled variants of Mitsuba; install LLVM 17 or newer, or use --level b"
+        )
     from sim.optics._band_paths import band_paths  # these need the variant set
     from sim.optics._fluorescent_paths import fluorescent_bands
 

@@ -256,7 +256,7 @@ def stored_shard(task: DatasetTask, shard: PlannedShard) -> DatasetShard | None:
     if record.key != shard_key(task, shard):
         raise SimulateError(
             f"{file}: was computed from another design, other ranges, paints or seed, or holds fewer presses than "
-            f"planned; give another --out, or the same options as before (a set grows by whole shards)"
+            "planned; give another --out, or the same options as before (a data set can grow by whole shards only)"
         )
     return record
 

@@ -381,7 +381,7 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
             except (OSError, ValueError) as error:
                 raise SimulateError(
                     f"--scheduler {scheduler}: no Dask scheduler answers there ({error}); start one with 'dask "
-                    "scheduler', or leave it out to compute on this machine"
+                    "scheduler', or leave --scheduler out to compute on this machine"
                 ) from error
             try:
                 with _token_in(folder) as workers.token:  # for the whole run: workers that come later look too

@@ -603,9 +603,9 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
     lit = cells[np.isfinite(cells[..., 0])]
     if not len(lit):
         raise SimulateError(
-            f"the pixels are too coarse: no cell of {CELL_MM:g} mm on the coat fills four of them; raise "
-            f"camera.width_px and camera.height_px "
-            f"({design.camera.width_px} x {design.camera.height_px}), or turn the camera to the coat"
+            f"the pixels are too coarse: no cell of {CELL_MM:g} mm on the coat covers four pixels; raise "
+            f"camera.width_px and camera.height_px ({design.camera.width_px} x {design.camera.height_px}), or turn the "
+            "camera to the coat"
         )
     bands, weights = len(BAND_NAMES), matrix.mean(axis=0)
     near = (render.contact_maps.contact_distance <= HALO) & np.isfinite(place[..., 0])

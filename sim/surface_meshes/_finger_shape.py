@@ -492,7 +492,8 @@ def bent(shape: FingerShape, radius_mm: float) -> FingerShape:
     highest = max(float(s.vertices_mm[:, 1].max()) for s in shape.surfaces.values())
     if (-radius_mm >= 2.0 * lowest) if radius_mm > 0.0 else (-radius_mm <= 2.0 * highest):
         raise ImpossibleFingerError(
-            f"a bending radius of {radius_mm:g} mm folds a finger of y = {lowest:g} to {highest:g} mm"
+            f"a bending radius of {radius_mm:g} mm folds a finger that reaches from y = {lowest:g} to {highest:g} mm; "
+            "give a larger radius"
         )
     centre = -radius_mm
 

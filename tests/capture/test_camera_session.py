@@ -102,7 +102,7 @@ def test_a_sensor_that_stops_below_full_scale_is_told_from_light_that_changed(
     rig = simulated_rig("red", width_px=320, height_px=256)
     monkeypatch.setattr("rigs._open_rig.FULL_WELL_MARGIN", share)
     with pytest.raises(
-        CaptureError, match=r"counts stop at \d+ DN of 1023 DN: .*check bit_depth, or raise the gain"
+        CaptureError, match=r"counts stop at \d+ DN, below full scale \(1023 DN\): .*check bit_depth, or raise the gain"
     ) as told:
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path / "s", "pytest"))
     stops_dn = int(str(told.value).partition("counts stop at ")[2].partition(" ")[0])

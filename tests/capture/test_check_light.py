@@ -351,7 +351,7 @@ def test_latency_is_not_possible_with_a_lamp_switched_by_hand(rig, real, plan):
     by_hand = real.model_copy(update={"lamp": real.lamp.model_copy(update={"driver": "manual", "address": ""})})
     with frames_of(rig, plan, lambda opened: opened) as (opened, _, plan, frames):
         for each, word in (
-            (rig, "simulated rig advances only with its actions"),
+            (rig, "not possible on a simulated rig"),
             (by_hand, "not possible on this rig"),
         ):
             found = trigger_latency(opened, each, plan, frames, check_filters(plan, rig)[0])

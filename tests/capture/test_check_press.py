@@ -315,7 +315,7 @@ def test_a_first_step_without_room_is_refused(
     ("deepest_mm", "title", "words"),
     [
         (0.36, "touches", "beyond the force at which the stage turns back leads deeper than deepest_mm = 0.36 mm"),
-        (0.5, "force limit holds", "N at deepest_mm = 0.5 mm, but the stop is tried at 1.25 N; raise deepest_mm"),
+        (0.5, "force limit holds", "N at deepest_mm = 0.5 mm, but the stop must be tried at 1.25 N; raise deepest_mm"),
     ],
 )
 def test_the_deepest_place_of_the_plan_is_kept(
@@ -461,7 +461,11 @@ def test_the_force_limit_of_the_plan_holds_while_homing_too(practice: Path, monk
     ("old", "new", "message"),
     [
         ("position_mm = 8.0", "position_mm = 79.0", r"lead to X = 81 mm, outside the stage's travel of 0 to 80 mm"),
-        ("stops = 1", "force_limit_n = 6.0", r"plan\.force_limit_n = 6 N must not exceed the 5 N of the rig file"),
+        (
+            "stops = 1",
+            "force_limit_n = 6.0",
+            r"plan\.force_limit_n = 6 N must not exceed force_limit_n = 5 N of the rig file",
+        ),
         ("stops = 1", "stop = 1", r"'stop': unknown key; did you mean 'stops'"),
         ("rest_s = 10.0", "rest_s = 1.0", r"'rest_s' \(in s\): must be at least 10"),
         ('check_name = "practice finger"', 'check_name = ""', r"check_name"),

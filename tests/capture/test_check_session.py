@@ -259,7 +259,10 @@ def test_dark_white_tile_is_an_error_that_says_so(rig, plan, monkeypatch):
 def test_lamp_too_bright_for_a_quarter_of_the_exposure(rig: RigFile, plan: CheckPlan) -> None:
     camera = rig.camera.model_copy(update={"shortest_exposure_s": 0.0008})
     facts, _ = record_facts(rig.model_copy(update={"camera": camera}), plan, Path())
-    assert "a quarter of that is below the camera's shortest exposure" in facts.errors["exposures"]
+    assert (
+        "a quarter of that, which this check also needs, is below the camera's shortest exposure"
+        in facts.errors["exposures"]
+    )
 
 
 @pytest.mark.parametrize("driver", ["simulated", REPLAY_DRIVER])
@@ -293,7 +296,10 @@ def test_light_that_stays_on_ends_the_check(rig, plan, monkeypatch):
         return replace(opened, lamp=Device(opened.lamp, {"lit": lit}))
 
     facts = facts_of(rig, plan, monkeypatch, change)
-    assert "lamp: is reported on after this section; pull its plug" in facts.errors["warm-up"]
+    assert (
+        "lamp: still reports that it is on at the end of this part of the check; pull its plug"
+        in facts.errors["warm-up"]
+    )
     assert (
         facts.errors["filters"] == facts.errors["revisits"] == facts.errors["light off"] == "not tried: the lamp is on"
     )
@@ -324,7 +330,7 @@ def test_unsafe_laser_ends_the_check(rig, plan, monkeypatch):
 def test_laser_that_stays_dark_or_lit(rig: RigFile) -> None:
     with open_rig(rig, Path()) as opened:
         dark = replace(opened, laser=Device(opened.laser, {"state": lambda: False}))
-        with pytest.raises(CaptureError, match="reads back off in the block that lights it"):
+        with pytest.raises(CaptureError, match="reports that it is off right after it was switched on"):
             after_exception(dark, 1)
         lit = replace(opened, laser=Device(opened.laser, {"state": lambda: True}))
         found = after_exception(lit, 2)

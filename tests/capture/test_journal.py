@@ -118,7 +118,7 @@ def test_port_that_stays_away_leaves_few_lines_that_count_all(tmp_path: Path, mo
     assert [(line["attempt"], line["times"]) for line in faults] == [
         (1, 1), (2, 1), (4, 2), (8, 4), (16, 8), (32, 16), (64, 32), (100, 36), (1, 1), (2, 1),
     ]  # fmt: skip
-    assert "102 exchanges were repeated (wheel at /dev/ttyUSB0 102)" in fault_notes(tmp_path)[0]
+    assert "102 messages to devices were repeated (wheel at /dev/ttyUSB0 102)" in fault_notes(tmp_path)[0]
 
 
 def test_counted_faults_stand_before_what_followed_them(tmp_path: Path) -> None:

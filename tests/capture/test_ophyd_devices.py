@@ -609,7 +609,7 @@ def test_without_an_engine_it_says_what_to_do(tmp_path: Path) -> None:
         "with ophyd_rig(simulated_rig('red'), Path()):\n    pass"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert "RefusedError: bluesky: create the RunEngine before the devices" in done.stderr
+    assert "RefusedError: bluesky: there is no RunEngine yet; create it before the devices" in done.stderr
 
 
 def test_a_wheel_that_is_turned_by_hand_asks_its_operator(engine: RunEngine, rig: RigFile) -> None:

@@ -322,19 +322,23 @@ def test_wheel_that_slips_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Pa
     """It is sent again; a wheel that slips every time ends the session."""
     with (
         open_rig(rig, Path()) as opened,
-        pytest.raises(WrongPositionError, match=r"reads slot 7 before the exposure .*slot 8 is needed.*4 attempts"),
+        pytest.raises(WrongPositionError, match=r"reports slot 7 before the exposure .*slot 8 is needed.*4 attempts"),
     ):
         capture(replace(opened, wheel=SlippingWheel(opened.wheel, reading)), rig, plan, tmp_path)
     refused = [line["text"] for line in read_journal(tmp_path) if line["event"] == "refused"]
     assert len(refused) == 3
-    assert f"reads slot 7 {when} the exposure of" in refused[0]
+    assert f"reports slot 7 {when} the exposure of" in refused[0]
 
 
 def test_light_that_does_not_obey_is_noticed(rig: RigFile, plan: PaintPlan, tmp_path: Path) -> None:
     with open_rig(rig, Path()) as opened:
-        with pytest.raises(CaptureError, match=r"laser: reads back off where the step needs the light state 'laser'"):
+        with pytest.raises(
+            CaptureError, match=r"laser: reports that it is off, but the state that this step needs is 'laser'"
+        ):
             capture(replace(opened, laser=StuckLight(on=False)), rig, plan, tmp_path / "a")
-        with pytest.raises(CaptureError, match=r"lamp: reads back on where the step needs the light state 'laser'"):
+        with pytest.raises(
+            CaptureError, match=r"lamp: reports that it is on, but the state that this step needs is 'laser'"
+        ):
             capture(replace(opened, lamp=StuckLight(on=True)), rig, plan, tmp_path / "b")
 
 

@@ -234,7 +234,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
         (
             "rig.toml",
             ("press_travel_mm = [-9.0, 0.0]", "press_travel_mm = [0.0, -9.0]"),
-            "write the lowest place first",
+            "write the lowest position first",
         ),
         ("rig.toml", ('pad_axis = "X"', 'pad_axis = "Z"'), "press_axis and pad_axis are both Z"),
         ("rig.toml", ("force_limit_n = 5.0", "force_limit_n = 50.0"), "must not exceed capacity_n = 9.8 N"),

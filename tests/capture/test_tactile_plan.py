@@ -32,7 +32,7 @@ def test_poses_of_a_stage_are_read(tmp_path):
     [
         (None, "no such file"),
         ("depth_mm\n", "holds 0 poses"),
-        ("depth_mm,position_mm\n1\n", "line 2: the number of cells is 1, the header has 2 columns"),
+        ("depth_mm,position_mm\n1\n", "line 2: has 1 columns, but the header has 2"),
         ("depth_mm,position_mm\n1,2,3\n", "line 2: has 3 columns, but the header has 2"),
         ("depth_mm,position_mm\n1,2\n", "line 2: 'depth_uncertainty_mm': is missing"),
         ("depth_mm,height_mm\n1,2\n", "'height_mm': unknown key"),
@@ -77,7 +77,7 @@ def test_senseless_board_is_refused(board, message):
 
 
 def test_rig_of_the_simulated_bench_is_refused(tmp_path):
-    with pytest.raises(RecordError, match="the simulated bench holds no finger"):
+    with pytest.raises(RecordError, match="a simulated camera needs the tables"):
         rig_of(tmp_path, 'name = "bench"\n[camera]\n')
 
 

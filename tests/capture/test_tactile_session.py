@@ -111,7 +111,7 @@ def test_board_comes_first_and_presses_are_repeated(sensor, tmp_path):
     board = '[board]\nsquares = [7, 5]\nsquare_mm = 3.0\nmarker_mm = 2.2\ndictionary = "DICT_4X4_50"\nimages = 3\n'
     plan, hands = plan_of(tmp_path, text + board), pressing(sensor)
     session = capture(tmp_path, plan, rig_of(tmp_path), hands)
-    assert hands.asked[2].startswith("Hold the ChArUco board still and in view; place 3 of 3")
+    assert hands.asked[2].startswith("Hold the ChArUco board still and in view (place 3 of 3)")
     assert [f.frame_type for f in session.frames[:4]] == ["board"] * 3 + ["no contact"]
     depths = [read_record(tmp_path / "out" / name, TactileCapture).indenter.depth_mm for name in session.captures]
     assert depths == [1.0, 1.0, 1.5, 1.5]

@@ -186,7 +186,7 @@ def test_a_search_in_short_steps_is_given_up_and_each_iteration_and_cutback_is_t
     first = [line for line in told if line.startswith("iteration ")][:9]
     assert [line.split(",")[0] for line in first] == [f"iteration {n}" for n in (*range(1, 9), 1)]
     assert all(" out of balance by " in line and line.endswith(" N allowed") for line in first)
-    cut = [line for line in told if line.startswith("an increment of 0.5 in place of 1: ")]
+    cut = [line for line in told if line.startswith("increment shortened from 1 to 0.5: ")]
     assert len(cut) == 1
     assert "the last 8 of 8 steps were short" in cut[0]
 

@@ -138,7 +138,7 @@ def test_a_text_file_is_read_too(tmp_path):
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "encloses no volume"),
         (CUBE.triangles, np.nan, "corners that are not numbers"),
         (CUBE.triangles[:, ::-1], 1.0, "is inside out: its triangles face inward, so that it encloses -96 mm3"),
-        (CUBE.triangles[:, [0, 0, 0]], 1.0, "triangles have no area"),
+        (CUBE.triangles[:, [0, 0, 0]], 1.0, "none of its triangles has an area"),
     ],
     ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number", "inside out", "needles"],
 )

@@ -82,7 +82,9 @@ def test_wrong_loads_are_refused(finger):
     with pytest.raises(SimulateError, match="a press needs a finite force above 0 N"):
         press_to_force(SMALL, -1.0)
     rough = SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update={"friction": 0.3})})
-    with pytest.raises(SimulateError, match="a press to a force works without friction"):
+    with pytest.raises(
+        SimulateError, match="with --force, the indenter must be a cylinder, ball or cuboid without friction"
+    ):
         press_to_force(rough, 1.0)
 
 

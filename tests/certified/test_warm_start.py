@@ -166,7 +166,7 @@ def test_a_stored_increment_must_fit(halfway):
     with pytest.raises(SimulateError, match=r"another design: it differs in name; only indenter\.depth_mm may"):
         stored_press(record, softer)
     moved = record.model_copy(update={"nodes_mm": record.nodes_mm + 0.1})
-    with pytest.raises(SimulateError, match="has another mesh of this design"):
+    with pytest.raises(SimulateError, match="has a different mesh of this design"):
         stored_press(moved, to_depth(3.0))
     assert record.contact == "penalty"
     with pytest.raises(SimulateError, match=r"pressed with --contact penalty, .* with --contact barrier; give"):
@@ -184,7 +184,9 @@ def test_an_increment_of_other_contact_points_is_not_continued(halfway):
     assert (record.points_per_side, record.points_on_border) == (2, True)
     # the cylinder lies across the whole pad: its border touches, where older versions had no points
     older = {"points_per_side": None, "points_on_border": None}
-    with pytest.raises(SimulateError, match=r"no point of the coat's border, which touches .* Press from the start"):
+    with pytest.raises(
+        SimulateError, match=r"no point of the coat's border, which the indenter touches .* Press from the start"
+    ):
         stored_press(record.model_copy(update=older), to_depth(3.0))
     # a blunt ball amid the pad touches inner faces alone, whose points have stayed
     ball = SMALL.indenter.model_copy(update={"shape": "ball", "radius_mm": 6.0, "depth_mm": 0.4})

@@ -380,13 +380,13 @@ CASES = (
     Case(
         "classic sensor for a finger",
         "simulate press {tmp}/sensor.toml",
-        r"sensor\.toml: is the design of a classic sensor, where that of a finger is needed; 'finray design init flat",
+        r"sensor\.toml: is the design of a classic sensor, but the design of a finger is needed; 'finray design init",
         file("sensor.toml", 'kind = "sensor"\npreset = "digit"\n'),
     ),
     Case(
         "paint without a name",
         BAD_PLAN,
-        r"plan\.toml: plan\.paint_name: is empty; write the name for files and records",
+        r"plan\.toml: plan\.paint_name: is empty; write a name, which files and records will carry",
         edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
     ),
     Case(
@@ -818,7 +818,7 @@ CASES = (
     Case(
         "objectives of sensing by the scalar renderer",
         SWEEP + " --angles 0:90:30 --engine scalar --objectives all",
-        r"needs a compiled variant; leave out --engine scalar",
+        r"needs a compiled variant of Mitsuba; leave out --engine scalar",
     ),
     Case(
         "sweep of the paper's emitter",

@@ -263,7 +263,11 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         ("", "--force 2 --contact barrier", r"--force presses from first touch with penalty contact"),
         ("", "--force 2 --resume d.increments", r"--force presses from first touch with penalty contact"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
-        ("friction = 0.3", "--force 2", r"a press to a force works without friction and for indenters of simple shape"),
+        (
+            "friction = 0.3",
+            "--force 2",
+            r"with --force, the indenter must be a cylinder, ball or cuboid without friction",
+        ),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it belongs to a cuboid"),
         ("", "--budget 60 --sensitivities", r"--budget is for one press with finray's own elements"),
         ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
@@ -312,7 +316,7 @@ def test_a_force_of_no_touch_is_noted_as_the_meshs(tmp_path):
     finray(f"simulate press {small_ball(tmp_path, 2.0, 0.1)} --increments 1 --out {tmp_path}/b.press.json")
     stored = read_record(tmp_path / "b.mechanics.json", PressMechanics)
     assert stored.force_n[-1, 1] == 0.0
-    assert any("touches no node, or has passed between them" in note for note in stored.notes)
+    assert any("touches no node, or has passed between the nodes" in note for note in stored.notes)
 
 
 @pytest.mark.parametrize(

@@ -331,5 +331,5 @@ def test_show_takes_the_rig_of_a_finger_which_is_a_camera_alone(tmp_path: Path) 
     (tmp_path / "finger.toml").write_text(f'name = "finger"\n\n[camera]\n{camera}')
     said = succeed(f"rig show {tmp_path}/finger.toml")
     assert "camera: folder at ." in said
-    assert "each image of a folder is used once" in said
+    assert "each image of a folder can be used only once" in said
     assert "laser" not in said

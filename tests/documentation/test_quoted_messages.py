@@ -27,10 +27,10 @@ BLOCKS = {
 }
 """Page -> its lines of output; those of `finray doctor` and `finray trace` are tables that programs fill in."""
 COMPOSED = {
-    "emission measured: beyond reflected laser, leak and stray light the signal is 362 standard deviations "
+    "emission measured: the signal exceeds reflected laser, leak and stray light by 362 standard deviations "
     "(threshold 3.2)": (
         "emission measured: ...",
-        "beyond reflected laser, leak and stray light the signal is 362 standard deviations (threshold 3.2)",
+        "the signal exceeds reflected laser, leak and stray light by 362 standard deviations (threshold 3.2)",
     ),
     "finray demo: error: the press by finite elements was ended by SIGILL (a compiled library uses instructions that "
     "this processor does not have); it had taken 0.31 GiB of memory. Its log is "

@@ -71,7 +71,7 @@ def test_trimmed_blanks_do_no_harm(tmp_path):
         (lines(VERSION), "holds no displacements"),
         (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3)[:-30]), "is damaged"),
         (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3).replace("D ", "X ", 1)), "is damaged"),
-        (lines(VERSION, "*I 19" + record(101, 7, 0.1, 0.2, 0.3)[5:]), "has 6 items in place of 9"),
+        (lines(VERSION, "*I 19" + record(101, 7, 0.1, 0.2, 0.3)[5:]), "has 6 items, but states 9"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, match):

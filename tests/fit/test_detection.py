@@ -206,7 +206,9 @@ def test_a_paint_says_that_it_was_measured(rig):
     assert isinstance(paint, PaintCalibration)
     assert paint.detection.measured
     assert paint.detection.yield_limit is None
-    assert paint.detection.statement.startswith("emission measured: beyond reflected laser, leak and stray light")
+    assert paint.detection.statement.startswith(
+        "emission measured: the signal exceeds reflected laser, leak and stray light"
+    )
 
 
 def test_a_sample_in_the_dark_has_no_emission(plastic):

@@ -335,7 +335,7 @@ def test_a_record_that_was_changed_to_what_cannot_be_is_not_stored(lab, tmp_path
     bands = finray.read_record(lab / "bands.json")
     with pytest.raises(
         RecordError,
-        match=r"x\.json: not stored, .*: .reflectance. has 8 along .filter. but .fluorescence. has 2",
+        match=r"x\.json: not stored, .*: .reflectance. has 8 entries along .filter., but .fluorescence. has 2",
     ):
         finray.write_record(bands.model_copy(update={"fluorescence": np.zeros((2, 3))}), tmp_path / "x.json")
     with pytest.raises(RecordError, match="BandSignals: has no field 'flourescence'; its fields are bleaching"):

@@ -124,7 +124,7 @@ def test_curve_is_stored_with_the_levels_that_were_used(found: CameraCharacteris
 
 def test_curve_of_unequal_lengths_is_refused(found: CameraCharacterisation) -> None:
     curve = dict(found.channels[0].curve)
-    with pytest.raises(ValidationError, match="'mean_dn' has 3 along 'level' but 'exposure_s' has 16"):
+    with pytest.raises(ValidationError, match="'mean_dn' has 3 entries along 'level', but 'exposure_s' has 16"):
         PhotonTransferCurve.model_validate({**curve, "mean_dn": np.ones(3)})
 
 

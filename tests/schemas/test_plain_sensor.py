@@ -121,8 +121,8 @@ def test_refusals_of_files(tmp_path, text, error, message):
     ("make", "message"),
     [
         (lambda: CoatSurface(file="coat.tif"), r"must end in \.npy, \.png .* or \.stl"),
-        (lambda: CoatSurface(file="coat.npy"), "step_mm is missing: a height map must say"),
-        (lambda: CoatSurface(file="coat.png", step_mm=0.1), "unit_mm is missing: a picture must say"),
+        (lambda: CoatSurface(file="coat.npy"), "step_mm is missing: a height map needs"),
+        (lambda: CoatSurface(file="coat.png", step_mm=0.1), "unit_mm is missing: a picture needs"),
         (lambda: ColouredLight(channel="white", fwhm_nm=20.0), "fwhm_nm belongs to a coloured LED"),
         (lambda: ColouredLight(channel="red", depth_mm=1.0), r"it must be more than 1\.53 mm"),
         (lambda: TactileCamera(position_mm=(0.0, 1.0, 2.0)), r"y must be negative \(outside the gel"),

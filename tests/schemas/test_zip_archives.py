@@ -193,7 +193,7 @@ POISONED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "device": (lambda p: one(p, entry("one.txt", DEVICE)), "is a link or a device"),
     "twice": (_twice, "'one.txt' is in it twice"),
     "file and folder": (lambda p: packed(p, {"a": b"1", "a/b": b"2"}), "'a' is a file and a folder"),
-    "other packing": (lambda p: one(p, entry("a", method=zipfile.ZIP_BZIP2)), "another method than deflate"),
+    "other packing": (lambda p: one(p, entry("a", method=zipfile.ZIP_BZIP2)), "a method other than deflate"),
     "bomb": (lambda p: packed(p, {"a": bytes(32 << 20)}), "grows from .* to 33554432 bytes, over 200 times"),
     "over another": (_overlapping, "overlaps another file"),
     "forged list": (_forged_list, "its list of files takes 1073741824 bytes, but at most 16777216 are read"),

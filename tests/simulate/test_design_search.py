@@ -135,7 +135,8 @@ def test_the_screen_may_be_given_its_size() -> None:
     assert [found.roles.count(role) for role in ("start", "screen", "search", "chosen")] == [1, 24, 4, 1]
     for screened in (8, 29):
         with pytest.raises(
-            SimulateError, match=f"of 30 evaluations 9 to 28 can screen .* 2 parameters, got {screened}"
+            SimulateError,
+            match=f"--screen: {screened} is not possible; with 30 evaluations and 2 parameters, 9 to 28 are allowed",
         ):
             search_designs(varied, [ERROR], evaluated, 30, seed=3, screened=screened)
 

@@ -77,7 +77,7 @@ def test_light_that_never_meets_a_paint_does_not_depend_on_it(finger):
 def test_the_camera_is_uncertain_by_channel_and_more_so_in_the_leds_band(finger):
     found = known_inputs(finger, {}, {}, CHAINS)
     assert (found.names, found.evaluations) == (("camera response",), ("B",))
-    assert found.sources[0].endswith("; at the LED stated as 20 %")
+    assert found.sources[0].endswith("; its uncertainty at the LED's wavelengths is stated as 20 %")
     camera = found.factors[0].astype(float)
     assert camera.shape == (DRAWS, 3, len(CHAINS))
     led = CHAINS.index("led")

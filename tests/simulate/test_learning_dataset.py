@@ -185,7 +185,7 @@ def test_a_paint_that_returns_more_light_than_it_gets_is_drawn_again(paints):
     rng = np.random.default_rng(0)
     assert all(sampled_paints(Finger, bright, 1.0, rng).draws == {"red": 1, "green": 1} for _ in range(5))
     hopeless = {colour: PaintDraws(p.optics, p.emission_per_nm[:1]) for colour, p in bright.items()}
-    with pytest.raises(SimulateError, match="no draw of the paints out of 50 conserves energy"):
+    with pytest.raises(SimulateError, match="none of 50 draws of the paints conserves energy"):
         sampled_paints(Finger, hopeless, 1.0, rng)
 
 

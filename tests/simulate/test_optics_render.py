@@ -76,7 +76,7 @@ def test_what_a_scalar_renderer_leaves_out_is_refused_or_said(scalar, paints):
     beamed = DESIGN.model_copy(update={"light": LightPanel(beam_exponent=4.0)})
     with pytest.raises(SimulateError, match=r"light\.beam_exponent: a scalar variant renders Lambertian panels"):
         render_press(beamed, paints, scalar, RenderSettings(samples_per_pixel=2))
-    with pytest.raises(SimulateError, match="level c runs in compiled variants only"):
+    with pytest.raises(SimulateError, match="level c runs only in compiled variants of Mitsuba"):
         render_press(DESIGN, paints, scalar, RenderSettings("c", samples_per_pixel=2))
 
 

@@ -88,7 +88,7 @@ def test_the_printed_shifts_lie_on_the_plateau_but_not_at_its_maximum(paper):
 def test_two_to_five_per_cent_is_a_band_and_not_the_light(paper):
     statements = by_subject(paper)
     assert statements["reradiation, if the percentage is that of one 10 nm band"].verdict == "holds in part"
-    share = statements["reradiation, read as share of the light"]
+    share = statements["reradiation, if the percentage is the share of all light"]
     assert share.verdict == "does not hold"
     assert share.ours[RED] == "44 % of the energy, 60 % of the photons"
     assert "4 to 27 times too dark" in share.why
@@ -147,7 +147,7 @@ def test_a_paint_as_the_paper_says_is_found_to_hold():
         assert paint.emission_peak_nm - paint.absorption_edge_nm == pytest.approx(shift_nm - 47.1, abs=1.0)
         assert paint.energy_yield == pytest.approx(0.035, rel=0.01)
         assert statements[f"Stokes shift, {colour} paint"].verdict == "holds"
-    assert statements["reradiation, read as share of the light"].verdict == "holds"
+    assert statements["reradiation, if the percentage is the share of all light"].verdict == "holds"
     assert statements["lambda_0 of the curve"].verdict == "holds"
     assert statements["emission curve, from eight filter bands"].verdict == "holds"
     # The fitter gives back what went in: the mode is known to some half a nm, so that 3 nm are beyond chance.
@@ -198,7 +198,7 @@ def test_command_writes_record_and_figure(folder, tmp_path, capsys):
     assert json.loads((out / "paper-paints.json").read_text())["record"]["provenance"]["seed"] == 1
     assert (out / "paper-paints.png").stat().st_size > 10_000
     printed = capsys.readouterr().out
-    assert "DOES NOT HOLD: reradiation, read as share of the light" in printed
+    assert "DOES NOT HOLD: reradiation, if the percentage is the share of all light" in printed
     assert max(map(len, printed.replace(str(out), "").splitlines())) <= study.WIDTH
 
 

@@ -86,7 +86,7 @@ def test_a_step_out_of_the_pad_is_refused_before_anything_is_rendered(finger, ca
 
 def test_given_shapes_have_no_response(finger):
     with pytest.raises(
-        SimulateError, match="rendered for the analytic press only; leave it out, or leave the surfaces"
+        SimulateError, match="rendered for the analytic press only; leave out --pose-response or --surfaces"
     ):
         simulate_press(FingerScene(finger, shapes=(None, None)), WITH_POSE, {})
 

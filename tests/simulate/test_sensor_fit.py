@@ -222,7 +222,7 @@ def test_captures_and_design_without_a_common_channel_are_refused():
     for image in images.values():
         image[..., 0] = 64
         image[::5, ::5, 0] = 65
-    with pytest.raises(SimulateError, match="no channel holds light both in the captures and by the design"):
+    with pytest.raises(SimulateError, match="no channel holds light both in the captures and in the design's pictures"):
         fit_sensor(OneColour(noise_rel=NOISE_REL), [capture.model_copy(update=images)], seed=3)
 
 

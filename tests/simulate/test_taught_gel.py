@@ -158,7 +158,7 @@ def test_refusals():
     ):  # fmt: skip
         with pytest.raises(SimulateError, match="needs the circle of a ball's contact, the ball's radius"):
             fit_gel([*presses[:2], presses[2].model_copy(update=change)])
-    with pytest.raises(SimulateError, match="press 2: has another ball, scale or size than press 0"):
+    with pytest.raises(SimulateError, match="press 2: ball, scale or size differ from those of press 0"):
         fit_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
     with pytest.raises(SimulateError, match="press 1: one contact image is given twice"):
         fit_gel([*presses[:2], presses[1]])
@@ -177,5 +177,7 @@ def test_refusals():
 
 def test_a_press_of_another_ball_is_not_predicted(gel):
     other = capture(40).model_copy(update={"mm_per_px": 0.05})
-    with pytest.raises(SimulateError, match="press 40: has another ball or scale than the training presses"):
+    with pytest.raises(
+        SimulateError, match="press 40: ball or scale differ from those of the model's training presses"
+    ):
         predict_on_gel(gel, other)

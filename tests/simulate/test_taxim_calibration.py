@@ -48,7 +48,7 @@ def test_presses_lie_evenly_on_the_pad():
         (
             SENSOR.pad,
             1.0,
-            "a ball of 1 mm radius does not fit a pad of 20 x 20 x 4 mm: it needs a radius above 1.33 mm",
+            "a ball of 1 mm radius does not fit a pad of 20 x 20 x 4 mm: the ball needs a radius above 1.33 mm",
         ),
         (SENSOR.pad, 60.0, "does not fit a pad"),
     ],

@@ -182,7 +182,7 @@ def _attributes(path: Path, record: str) -> list[float | str]:
         raise ImportFormatError(f"{path}: the record *{record[:40].strip()}... is damaged: {error}") from None
     if len(items) != items[0]:
         raise ImportFormatError(
-            f"{path}: the record *{record[:40].strip()}... has {len(items)} items in place of {items[0]}; the file is "
+            f"{path}: the record *{record[:40].strip()}... has {len(items)} items, but states {items[0]}; the file is "
             "damaged, or its lines are not of 80 columns"
         )
     return items[2:]

@@ -267,7 +267,7 @@ def test_the_contracts_run_on_a_rig_file_and_say_what_moves(grbl: Path, board: G
     assert (
         f"filter wheel: grbl (finray-grbl-wheel 0.1) at {board.address}; TURNS through all of its slots" in done.stdout
     )
-    assert f"lamp: file (file-lights 0.1) at {tmp_path}/lamp; IS SWITCHED ON for moments" in done.stdout
+    assert f"lamp: file (file-lights 0.1) at {tmp_path}/lamp; IS SWITCHED ON briefly" in done.stdout
     assert "stays off, without --with-laser" in done.stdout
     assert "LASER NOT TESTED" in done.stdout
     assert re.search(r"10 passed, 6 skipped, 15 deselected", done.stdout), done.stdout
@@ -347,7 +347,7 @@ def test_two_packages_of_one_name_are_refused_and_no_other_driver_is(site: Path)
 def test_a_driver_that_is_not_installed_is_refused_before_anything_opens(site: Path, tmp_path: Path) -> None:
     install(site, "bench-devices", {CAMERAS: {"bench": "bench_camera"}}, bench_camera=BENCH_CAMERA)
     rig = read_toml(real_rig(tmp_path, wheel_of("grlb", "/dev/ttyUSB0")), RigFile)
-    known = r"there are alpaca, indi, manual, simulated, thorlabs: correct driver in the rig file, or install"
+    known = r"there are alpaca, indi, manual, simulated, thorlabs: change the key driver in the rig file, or install"
     with (
         pytest.raises(RefusedError, match=rf"filter wheel: no driver 'grlb' is installed; {known}"),
         open_rig(rig, tmp_path),

@@ -118,10 +118,10 @@ def test_changed_frame_of_a_session_is_refused(
     [
         ("file,exposure_s\na.tiff,-1\n", r"gives a\.tiff an exposure of -1 s; it must be above 0"),
         ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is not a finite number\)"),
-        ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
+        ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the columns 'file' and 'exposure_s'"),
         ("file,exposure_s\na.tiff,1\na.tiff,2\n", r"a\.tiff is listed twice, the second time in line 3"),
         ("file,exposure_s\na.tiff,1,5\n", r"line 2: has 3 columns, but the header has 2"),
-        ("name,time\na.tiff,1\n", r"frames\.csv cannot be read .*needs the header file,exposure_s"),
+        ("name,time\na.tiff,1\n", r"frames\.csv cannot be read .*needs the columns 'file' and 'exposure_s'"),
         ("file,exposure_s\nz.tiff,1\n", r"frames\.csv names z\.tiff, which is not in"),
         ("file,exposure_s\n", r"the exposure of a\.tiff is unknown; add frames\.csv"),
     ],

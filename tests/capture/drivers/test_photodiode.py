@@ -93,7 +93,7 @@ def test_other_boards_are_refused(tmp_path: Path) -> None:
         with pytest.raises(RefusedError, match=r"firmware 2\.0; .* flash rigs/lights/firmware/photodiode.c"):
             open_photodiode(str(board.port.path)).__enter__()
         board.greets = b""
-        with pytest.raises(TimedOutError, match=r"does not greet within 3\.5 s; check the cable"):
+        with pytest.raises(TimedOutError, match=r"sends no greeting within 3\.5 s; check the cable"):
             open_photodiode(str(board.port.path)).__enter__()
 
 

@@ -191,7 +191,7 @@ def test_counts_beyond_the_bit_depth_are_refused(sensor):
 
 
 def test_size_that_the_sensor_lacks_is_refused(sensor):
-    with pytest.raises(RefusedError, match=r"cut to begin with red.*: 96 x 64; correct"), opened(width_px=98):
+    with pytest.raises(RefusedError, match=r"the first pixel is red.*: 96 x 64; correct"), opened(width_px=98):
         pass
 
 
