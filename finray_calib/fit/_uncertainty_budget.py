@@ -328,7 +328,7 @@ def _rows(
 ) -> list[BudgetRow]:
     """Return the rows of one quantity: sources of the bands, then what is left, the model's part of it first."""
     variance, shares = found
-    left = 1.0 - float(shares.sum())
+    left = max(1.0 - float(shares.sum()), 0.0)
     model = min(departure / max(variance, 1e-300), left)
     every = [*((s.name, s.size, s.evaluation, float(v)) for s, v in zip(sources, shares, strict=True))]
     every.append((MODEL_DISCREPANCY, "three sizes, averaged", "prior", model))

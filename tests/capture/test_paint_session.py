@@ -305,7 +305,7 @@ def test_lights_go_off_when_the_camera_fails_in_the_middle(
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ("exposure", r"s were requested for fluorescence .* the camera reads back .* \(within 5 % is allowed\)"),
+        ("exposure", r"s were requested for fluorescence .* the camera reads back .* \(they may differ by 5 %\)"),
         ("shape", r"frame of 126 x 160 px, but the rig file states 128 x 160 px"),
     ],
 )

@@ -259,7 +259,7 @@ def test_a_cell_may_be_silent_for_four_readings():
 def test_rig_is_shown_with_its_calibration(practice):
     shown = finray(f"rig show {practice}/rig.toml")
     assert shown.status == 0, shown.err
-    assert "travel -9 to 0 mm" in shown.out
+    assert "travel is -9 to 0 mm" in shown.out
     assert "slope_n_per_count" in shown.out
 
 

@@ -291,7 +291,7 @@ def test_what_cannot_be_printed_or_written_is_told_before_anything_is_written(tm
         (
             'preset = "ellipsoidal-30-8-90"\n',
             "--lining-mm 0.1",
-            r"lining_mm = 0.1: a sheet cannot be bent to the ellipsoidal pad of pad.shape",
+            r"lining_mm = 0.1: a sheet cannot be bent to pad.shape = ellipsoidal",
         ),
     ):
         design.write_text(text)

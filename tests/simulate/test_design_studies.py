@@ -133,7 +133,7 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
     ("text", "message"),
     [
         ("", r"vary"),
-        ('[[vary]]\nfield = "seed"\n', r"vary seed: give values, or low and high of a random study"),
+        ('[[vary]]\nfield = "seed"\n', r"vary seed: give either values, or low and high"),
         ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high are both needed, low below high"),
         (vary("seed", [1, 1]), r"vary seed: 1 is listed twice in its values"),
         (

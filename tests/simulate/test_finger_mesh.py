@@ -377,7 +377,7 @@ def test_origins_mark_what_the_paper_gives():
         ),
         (
             lambda: OgdenSolid(mu_mpa=(0.006279, 0.001639)),
-            "mu_mpa: the initial shear modulus, their sum: 0.007918 MPa is .* in GPa: write 7.918",
+            r"mu_mpa: the initial shear modulus \(the sum\): 0.007918 MPa is .* in GPa: write 7.918",
         ),
         (lambda: FingerDesign(skeleton=Skeleton(width_mm=40.0)), "wider than the fin"),
     ],

@@ -193,7 +193,7 @@ def test_what_a_person_sets_varies_and_what_is_stated(drawn):
     ):
         with pytest.raises(SimulateError, match=words):
             tolerance_inputs(design, drawn, {field: 1.0})
-    with pytest.raises(SimulateError, match="0 \\(left out\\) or more"):
+    with pytest.raises(SimulateError, match=r"0 \(the number is left out\) or more"):
         tolerance_inputs(design, drawn, {"light.angle_deg": -1.0})
 
 
