@@ -14,6 +14,7 @@ from data_schemas import ContactKind, FingerDesign
 from sim.mechanics._assembly import State, Term
 from sim.mechanics._colliding_surfaces import CollidingSurfaces, Obstacle
 from sim.mechanics._contact_library import contact_library
+from sim.mechanics._increments import LAGGED_REL
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FingerMesh, outer_triangles
@@ -341,6 +342,8 @@ class DrivenContact:
     terms
         Of the assembly.
     """
+
+    settle_rel = LAGGED_REL
 
     def __init__(self, contact: BarrierContact, supports: Supports, reference_node: int, met_mm: float = 1e-4) -> None:
         self.contact = contact

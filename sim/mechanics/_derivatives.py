@@ -14,6 +14,7 @@ jumps), where friction depends on earlier increments, and where ribs snap: an eq
 """
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -324,4 +325,6 @@ def _exact(term: Term) -> PenaltyContact:
     """
     if not isinstance(term, PenaltyContact):
         raise SimulateError("derivatives need a press with penalty contact; press with --contact penalty")
-    return term.with_curvature()
+    exact = copy(term)
+    exact.curvature = True
+    return exact

@@ -5,7 +5,6 @@ freely.
 """
 
 import math
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from data_schemas import ContactKind, FingerDesign, SimulateError
 from sim.mechanics._assembly import State, Term
+from sim.mechanics._increments import CURVED_REL, LAGGED_REL
 from sim.mechanics._indenters import RigidIndenter
 from sim.mechanics._materials import material_of
 from sim.mechanics._mesh import FacePoints, FingerMesh, face_points, quad_shapes
@@ -82,8 +82,9 @@ class PenaltyContact:
         Node whose displacement moves the body besides its pose; it must belong to no element. With it the body can
         be driven by supports or by a load.
     curvature
-        False leaves eps g H out of the second derivative: at a jump of the body g is the whole step, and the term's
-        negative stiffness sends points sideways; at equilibrium g is a micrometre and the term worth nothing.
+        False leaves eps g H out of the second derivative until :meth:`approach`: at a jump of the body g is the whole
+        step, and the term's negative stiffness sends points sideways. Near an equilibrium at a sharp edge, Newton's
+        method without it only halves the residual in each step.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ class PenaltyContact:
         self.body, self.pose = body, pose
         self._rest = nodes_mm
         self._eps = stiffness_mpa_per_mm
-        self.curvature = curvature
+        self.curvature, self._is_near = curvature, False
         self._reference = reference_node
         self._held: NDArray[np.bool_] | None = None
         points = faces if isinstance(faces, FacePoints) else face_points(faces, to_border=False)
@@ -113,7 +114,11 @@ class PenaltyContact:
 
     def place(self, pose: Pose) -> None:
         """Put the body somewhere else."""
-        self.pose, self._held = pose, None
+        self.pose, self._held, self._is_near = pose, None, False
+
+    def approach(self) -> None:
+        """Take the whole second derivative until the body is placed again: an equilibrium is near."""
+        self._is_near = True
 
     def hold(self, u: FloatArray, pose: Pose) -> bool:
         """Put the body elsewhere with the points that touch now, which act alone and cannot part until it is placed.
@@ -126,12 +131,6 @@ class PenaltyContact:
     def _acting(self, distance: FloatArray) -> NDArray[np.bool_]:
         """Return which points push or, where they are held, pull."""
         return distance < 0.0 if self._held is None else self._held
-
-    def with_curvature(self) -> "PenaltyContact":
-        """Return this contact with its whole second derivative."""
-        exact = copy(self)
-        exact.curvature = True
-        return exact
 
     def _offset(self, u: FloatArray) -> FloatArray:
         return np.zeros(3) if self._reference is None else np.asarray(u[self._reference])
@@ -207,7 +206,7 @@ class PenaltyContact:
         kept = acting if self._reference is None else np.ones(len(face), dtype=bool)
         scale = self._eps * self._areas.ravel()[kept] * acting[kept]
         blocks = normal[kept, :, None] * normal[kept, None, :]
-        if self.curvature and not project:
+        if (self.curvature or self._is_near) and not project:
             blocks = blocks + distance[kept, None, None] * curvature[kept]
         nodes, weights = self.quads[face[kept]], self._shapes[face[kept], number[kept]]
         if self._reference is not None:
@@ -259,6 +258,8 @@ class PenaltyTouch:
     def __init__(self, mesh: FingerMesh, contact: PenaltyContact) -> None:
         self.mesh = mesh
         self._contact = contact
+        self.is_sharp = 0.0 < least_radius_mm(contact.body) < face_side_mm(mesh.nodes_mm, contact.quads)
+        self.settle_rel = CURVED_REL if self.is_sharp else LAGGED_REL
 
     @property
     def note(self) -> str:
@@ -309,8 +310,6 @@ class PenaltyPress(PenaltyTouch):
         See :func:`penalty_mpa_per_mm`.
     """
 
-    settle = None  # nothing is lagged
-
     def __init__(self, mesh: FingerMesh, indenter: RigidIndenter, stiffness_mpa_per_mm: float) -> None:
         body, pose = indenter.exact_body(), indenter.touching
         points = coat_points(mesh.nodes_mm, mesh.surfaces["coat"], body)
@@ -319,6 +318,7 @@ class PenaltyPress(PenaltyTouch):
         self._indenter = indenter
         self.terms: tuple[Term, ...] = (contact,)
         self._supports = Supports.at_rest(len(mesh.nodes_mm), mesh.node_sets["fixed"])
+        self.settle = self._settle if self.is_sharp else None  # rounder bodies lag nothing that matters
 
     def push(self, depth_mm: float) -> Supports:
         """Place the indenter at a depth and return the supports."""
@@ -329,6 +329,11 @@ class PenaltyPress(PenaltyTouch):
         """Place the indenter with what touches at another depth alone, see :class:`~sim.mechanics._increments.Load`."""
         self.push(touching_mm)
         return self._contact.hold(state.u_mm, self._indenter.pose(depth_mm))
+
+    def _settle(self, state: State) -> bool:
+        """Take the contact's whole second derivative, and return that this is an equilibrium."""
+        self._contact.approach()
+        return True
 
     def accept(self, state: State) -> None:
         """Do nothing: an increment leaves nothing behind."""
@@ -623,6 +628,8 @@ class SlidingTouch(PenaltyTouch):
 
     def settle(self, state: State) -> bool:
         """Renew the limits of friction at an equilibrium; return whether it still is one."""
+        if self.is_sharp:
+            self.sliding.approach()
         return self.sliding.settle(state.u_mm)
 
     def accept(self, state: State) -> None:

@@ -74,6 +74,7 @@ class PressContact(Touch, Protocol):
     """What a press to a depth needs of its contact."""
 
     terms: tuple[Term, ...]
+    settle_rel: float
 
     def push(self, depth_mm: float) -> Supports:
         """Move the indenter to a depth and return the supports; lagged forces are those of the last increment."""
@@ -374,13 +375,11 @@ def contact_distance(pressed: PressedFinger, nodes: NDArray[np.int64]) -> FloatA
     return np.asarray(np.sqrt(squares))
 
 
-# a patch that reaches over this share of the pad is a strip across it
-_WHOLE_WIDTH = 0.95
+_WHOLE_WIDTH = 0.95  # a patch that reaches over this share of the pad is a strip across it
 
 Progress = Callable[[int, int, str], None]
 
-# two shares of a push that differ by rounding
-_SAME_SHARE = 1e-9
+_SAME_SHARE = 1e-9  # two shares of a push that differ by rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -554,6 +553,7 @@ def _load(touch: PressContact, parts: PartsContact | None, depth_mm: float, pad_
     return Load(
         at=lambda share: touch.push(share * depth_mm),
         settle=touch.settle,
+        settle_rel=touch.settle_rel,
         refuse=lambda state, share: _passed_through(touch, state, share * depth_mm, pad_mm),
         take_up=None if parts is None else lambda state, share: parts.take_up(state, share * depth_mm),
         accept=accept,

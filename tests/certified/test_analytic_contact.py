@@ -85,6 +85,20 @@ def test_gradient_and_hessian_are_the_derivatives(body, reference):
     assert contact.max_step(u, u) == 1.0
 
 
+def test_curvature_that_is_left_out_counts_near_an_equilibrium_until_the_body_is_placed():
+    contact, u = touching(Sphere(3.0), False)
+    contact.curvature = False
+    far = contact.hessian(u, False).toarray()
+    contact.approach()
+    steps = 1e-6 * np.eye(u.size).reshape(-1, *u.shape)
+    curve = np.stack([(contact.gradient(u + s) - contact.gradient(u - s)).ravel() for s in steps], 1) / 2e-6
+    near = contact.hessian(u, False).toarray()
+    assert np.abs(curve - near).max() <= 1e-7 * np.abs(near).max()
+    assert np.abs(near - far).max() > 1e-3 * np.abs(near).max()
+    contact.place(contact.pose)
+    assert np.array_equal(contact.hessian(u, False).toarray(), far)
+
+
 def test_points_that_are_held_act_alone_and_pull_until_the_body_is_placed():
     contact, u = touching(Sphere(3.0), False)
     pose, pushed = contact.pose, contact.gradient(u)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_schemas import PressIncrement, PressMechanics, SimulateError
+from data_schemas import Indenter, PressIncrement, PressMechanics, SimulateError
 from data_schemas.storage import read_record
 from sim import preset_design
 from sim.experiments import increment_record, stored_press
@@ -22,7 +22,7 @@ from sim.mechanics._linear_solver import linear_solver
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import CornerGrading
 from sim.mechanics._newton import Supports
-from sim.mechanics._penalty_contact import PenaltyPress
+from sim.mechanics._penalty_contact import PenaltyContact, PenaltyPress
 from sim.mechanics._press import _first_on_coarse, press_contact
 from tests.certified.blocks import assemble, unit_cells
 from tests.command_line.running import finray, succeed
@@ -144,6 +144,27 @@ def test_a_press_starts_from_what_touches_after_a_tenth_of_the_way(halfway, monk
     plain = press_finger(to_depth(0.5), PressSettings("coarse", 1))
     assert halfway.iterations[0] <= plain.iterations[0] - 2
     assert halfway.force_n[0] == pytest.approx(plain.force_n[0], abs=1e-5 * plain.force_n[0, 1])
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3], ids=["smooth", "with friction"])
+def test_the_curvature_of_a_sharp_edge_saves_iterations_near_the_equilibrium(friction, monkeypatch):
+    edge = Indenter(
+        shape="cuboid",
+        size_mm=(10.0, 10.0, 10.0),
+        edge_radius_mm=0.5,
+        position_mm=24.0,
+        rotation_deg=(25.0, 0.0, 20.0),
+        depth_mm=2.0,
+        friction=friction,
+    )
+    design, settings = SMALL.model_copy(update={"indenter": edge}), PressSettings("coarse", 2)
+    pressed = press_finger(design, settings)
+    monkeypatch.setattr(PenaltyContact, "approach", lambda _: None)
+    plain = press_finger(design, settings)
+    assert pressed.iterations.sum() <= plain.iterations.sum() - 4
+    # friction is settled to a thousandth of the normal forces
+    near_rel = 1e-3 if friction > 0.0 else 1e-5
+    assert pressed.force_n == pytest.approx(plain.force_n, abs=near_rel * plain.force_n[-1, 1])
 
 
 def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
