@@ -626,7 +626,10 @@ def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult
     name, what = "position survives stops", "position of the touch after all stops less the mean of those before"
     most_mm = plan.limits.touch_repeat_mm
     if len(facts.after_stops) < 2 or len(facts.touches) < FEWEST_TOUCHES:
-        reason = "no two touches were made after the stops"
+        few = [f"{len(facts.after_stops)} after the stops (2 are needed)"] if len(facts.after_stops) < 2 else []
+        if len(facts.touches) < FEWEST_TOUCHES:
+            few.append(f"{len(facts.touches)} before the stops ({FEWEST_TOUCHES} are needed)")
+        reason = f"too few touches were made: {' and '.join(few)}"
         return (unmeasured("stops", name, what, "UNDECIDED", reason, limit_text(-most_mm, most_mm, "mm")),)
     before, after = (np.array([one.touch_mm for one in some]) for some in (facts.touches, facts.after_stops))
     free = before.size + after.size - 2

@@ -467,7 +467,10 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     if names:
         cost = fixed(totals[names[0]] / len(told), 3)
         lead = f"Over these presses {names[0]} costs most: {cost} of skill for each press."
-    remark = "The parts of a row add up to 1 - skill. The page of a press shows sizes and pictures of its causes."
+    remark = (
+        "The parts of a row add up to 1 - skill. The page of each press shows how large each cause of lost skill is, "
+        "with pictures."
+    )
     return Part(
         "Why the worst differ",
         Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),)),

@@ -411,8 +411,8 @@ def _journal_faults(
     broken = next((line for line in lines if not line.holds), None)
     if broken is not None:
         said.append(
-            f"line {broken.number} or a line before it was changed or removed: its checksum does not follow "
-            f"from the line before"
+            f"line {broken.number}, or an earlier line, was changed or removed: the checksum of line {broken.number} "
+            f"does not follow from the line above it"
         )
     linked = [line for line in lines if line.link]
     if is_sealed and (not linked or not lines[0].link or not lines[-1].link):

@@ -191,8 +191,14 @@ def test_any_name_makes_comments_of_one_line_of_ascii(mesh):
             with_indenter(shape="cuboid", size_mm=(20.0, 10.0, 15.0), rotation_deg=(40.0, 0.0, 0.0)),
             "tilts the indenter by 40 deg",
         ),
-        (with_indenter(shape="ball", radius_mm=3.0, depth_mm=2.0), r"takes at most 1\.5 mm"),
-        (with_indenter(shape="mesh", file="x.stl"), "a deck holds a cylinder, a ball or a cuboid"),
+        (
+            with_indenter(shape="ball", radius_mm=3.0, depth_mm=2.0),
+            r"contains a ball only up to 60 deg .* at most 1\.5 mm are allowed",
+        ),
+        (
+            with_indenter(shape="mesh", file="x.stl"),
+            "deck of CalculiX or Abaqus can contain a cylinder, a ball or a cuboid",
+        ),
     ],
 )
 def test_a_press_that_a_deck_cannot_hold_is_refused(design, match):

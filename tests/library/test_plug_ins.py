@@ -455,7 +455,7 @@ def test_deck_refuses_what_it_cannot_hold(parts, tmp_path):
         ),
         (
             '[indenter]\nshape = "capsule"\nparameters = { radius_mm = 6.0 }',
-            r'indenter.shape = "capsule": a deck holds',
+            r'indenter.shape = "capsule": an input deck of CalculiX or Abaqus can contain',
         ),
     ):
         (tmp_path / "finger.toml").write_text(f"{SMALL}{table}\n")
