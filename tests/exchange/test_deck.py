@@ -210,7 +210,7 @@ def test_other_bodies_pushes_and_laws_are_refused(mesh):
     class Cone:
         """A body that no deck knows."""
 
-    with pytest.raises(SimulateError, match="only an indenter of shape cylinder, ball or cuboid"):
+    with pytest.raises(SimulateError, match="only a cylinder, a ball or a cuboid as indenter"):
         indenter_surface(Cone(), Pose((0.0, 0.0, 0.0)), 1.0)
     push = finger_push(DESIGN, "coarse", 4)
     with pytest.raises(SimulateError, match="a deck needs a push above 0 mm"):

@@ -451,7 +451,7 @@ def test_deck_refuses_what_it_cannot_hold(parts, tmp_path):
     for table, told in (
         (
             '[mechanics.gel]\nlaw = "yeoh"\nparameters = { c1_mpa = 0.1333 }',
-            "is a law of another package, which a deck",
+            "is a law of another package, which an input deck of CalculiX or Abaqus cannot contain",
         ),
         (
             '[indenter]\nshape = "capsule"\nparameters = { radius_mm = 6.0 }',

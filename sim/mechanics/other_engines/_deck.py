@@ -175,8 +175,8 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
             continue
         if not isinstance(material, Ogden):
             raise SimulateError(
-                f"mechanics.{name}: {material.name} is a law of another package, which a deck cannot hold; take law "
-                "out of the design, or press without --engine calculix"
+                f"mechanics.{name}: {material.name} is a law of another package, which an input deck of CalculiX or "
+                "Abaqus cannot contain; take law out of the design, or press without --engine calculix"
             )
         d1 = 2.0 / material.bulk_modulus_mpa
         if material.alpha == (2.0,):
@@ -202,7 +202,8 @@ def _stand_in(name: str, material: Ogden) -> InvariantLaw:
         raise SimulateError(
             f"mechanics.{name}: every polynomial of second order deviates from this Ogden rubber by "
             f"{100.0 * law.deviation_rel:.0f} % or more for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}; "
-            f"a deck for CalculiX allows {100.0 * _LARGEST_DEVIATION_REL:g} %. Press without --engine calculix"
+            f"in an input deck of CalculiX at most {100.0 * _LARGEST_DEVIATION_REL:g} % are allowed. "
+            "Press without --engine calculix"
         )
     return law
 
@@ -305,7 +306,8 @@ def _rounded(body: Body, across_mm: float) -> tuple[float, tuple[float, float], 
         x, y, z = (half - body.edge_radius_mm for half in body.half_sizes_mm)
         return body.edge_radius_mm, (x, z), y, (_REACH_DEG, _REACH_DEG), 2.0 * _BALL_FACET_DEG
     raise SimulateError(
-        "a deck can hold only an indenter of shape cylinder, ball or cuboid; change indenter.shape, or press without "
+        "an input deck of CalculiX or Abaqus can contain only a cylinder, a ball or a cuboid as indenter; change "
+        "indenter.shape, or press without "
         "--engine calculix"
     )
 
