@@ -640,7 +640,8 @@ class CheckResult(Model):
     high: float | None = Field(description="highest allowed value; None where there is none")
     limit: str = Field(description="what is allowed, in words")
     p_conform: Fraction | None = Field(
-        default=None, description="probability that the quantity keeps its limits (JCGM 106); None without a number"
+        default=None,
+        description="probability that the quantity lies within its limits (JCGM 106); None without a number",
     )
     verdict: CheckVerdict
     evidence: str

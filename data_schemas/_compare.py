@@ -263,7 +263,7 @@ class FittedToneCurve(Model):
     offset_dn: Interval = Field(description="offset b above the recorded black level")
     white_balance: tuple[Interval | None, Interval | None, Interval | None] = Field(
         description="scale of red, green and blue in linear light, relative to green; None where the render has no "
-        "light in one of the two"
+        "light in this channel or in green"
     )
     correlation: float = Field(
         description="correlation of the logarithms of both no-contact images; near 0 the prior decides"

@@ -269,7 +269,8 @@ class FamilyResult(Model):
     ln_evidence: float
     ln_evidence_sd: float
     probability: Fraction | None = Field(
-        description="probability among the families with discrepancy, all equally likely a priori; none without it"
+        description="probability among the families that include a discrepancy, all equally likely a priori; null for "
+        "a family without discrepancy"
     )
     left_out_bands: float | None = Field(description="sum of ln p(band | other bands), nats; higher predicts better")
     left_out_bands_sd: float | None = Field(description="standard error of its difference to the default family's")

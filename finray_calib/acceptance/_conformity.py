@@ -246,7 +246,7 @@ def measured(
 
 
 def _p_conform(value: float, sd: float, low: float | None, high: float | None) -> float | None:
-    """Return the probability that the quantity keeps its limits; None where its uncertainty is unbounded."""
+    """Return the probability that the quantity lies within its limits; None where its uncertainty is unbounded."""
     if low is None and high is None:
         return 1.0
     return conformance_probability(value, sd, ToleranceInterval(low, high)) if math.isfinite(sd) else None
@@ -519,7 +519,7 @@ def _result(
 
 
 def conformity_of(found: Estimate, limits: ToleranceInterval) -> float:
-    r"""Return the probability that a quantity keeps its limits, from its median and intervals.
+    r"""Return the probability that a quantity lies within its limits, from its median and intervals.
 
     .. math:: P(\eta \le T) = \Phi(z(T))
 

@@ -567,7 +567,7 @@ _REASONS: Final[dict[Literal["request", "silent cell"], tuple[str, str]]] = {
     "request": ("stage stops on request", "longest time from a request until the stage was seen to be at rest"),
     "silent cell": (
         "stage stops at a silent cell",
-        "longest time from the cell's last reading until the stage was seen to stand",
+        "longest time from the cell's last reading until the stage was seen to be at rest",
     ),
 }
 
@@ -591,7 +591,7 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     words = limit_text(None, most_s, "s")
     driven = [one for one in stops if one.stood_mm is not None and abs(one.stood_mm - one.end_mm) < 1e-2]
     if driven:
-        reason = f"the stage went on to the end of its move in {len(driven)} of {len(stops)} tries"
+        reason = f"the stage did not stop before the end of its move in {len(driven)} of {len(stops)} tries"
         return unmeasured("stops", name, what, "FAIL", reason, words)
     is_felt = all(one.still_after_s is not None for one in stops)
     who = "and the cell felt no more motion" if is_felt else "as the controller reports"
@@ -607,7 +607,7 @@ def _stop(stops: list[StageStop], most_s: float) -> CheckResult:
     lost = sum(one.stood_mm is None for one in stops)
     why = [] if is_felt else [ONLY_COUNTED]
     if lost:
-        why.append(f"after {lost} of them its position was unknown")
+        why.append(f"after {lost} of the stops the stage's position was unknown")
     if len(stops) < FEWEST_STOPS:
         why.append(_few(len(stops)))
     return not_proven(found, "; ".join(why)) if why else found
@@ -626,7 +626,10 @@ def _after_stops(facts: PressFacts, plan: TactileCheckPlan) -> tuple[CheckResult
     name, what = "position survives stops", "position of the touch after all stops less the mean of those before"
     most_mm = plan.limits.touch_repeat_mm
     if len(facts.after_stops) < 2 or len(facts.touches) < FEWEST_TOUCHES:
-        reason = "no two touches were made after the stops"
+        few = [f"{len(facts.after_stops)} after the stops (2 are needed)"] if len(facts.after_stops) < 2 else []
+        if len(facts.touches) < FEWEST_TOUCHES:
+            few.append(f"{len(facts.touches)} before the stops ({FEWEST_TOUCHES} are needed)")
+        reason = f"too few touches were made: {' and '.join(few)}"
         return (unmeasured("stops", name, what, "UNDECIDED", reason, limit_text(-most_mm, most_mm, "mm")),)
     before, after = (np.array([one.touch_mm for one in some]) for some in (facts.touches, facts.after_stops))
     free = before.size + after.size - 2

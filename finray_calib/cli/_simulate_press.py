@@ -575,38 +575,46 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
 
     calculix = arguments.engine == "calculix"
     forced, resumes = arguments.force is not None, arguments.resume is not None
-    if arguments.surrogate is not None and (
-        path or calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"
-    ):
+    calculix_or_resumes = ["--resume"] * resumes + ["--engine calculix"] * calculix
+    others = ["--sensitivities"] * arguments.sensitivities + ["--contact barrier"] * (arguments.contact == "barrier")
+    others += calculix_or_resumes
+    own = ["--force"] * forced
+    if arguments.surrogate is not None and (clash := [path] * bool(path) + own + others):
         raise SimulateError(
-            "--surrogate computes only a press along the pad's normal, without friction; leave it out, or leave out "
-            "--force, --path, --resume, --sensitivities, --contact barrier, --engine and indenter.path"
+            "--surrogate computes only a press to a given depth along the pad's normal, without friction; leave out "
+            f"--surrogate, or {_all_of(clash)}"
         )
     if arguments.largest_error is not None and arguments.surrogate is None:
         raise SimulateError("--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out")
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has its own contact method; leave out --contact or --engine calculix")
-    if forced and (calculix or resumes or arguments.sensitivities or arguments.contact == "barrier"):
+    if forced and others:
         raise SimulateError(
-            "--force presses from first touch with penalty contact and finray's own elements; leave out --force, or "
-            "leave out --resume, --sensitivities, --contact barrier and --engine"
+            "--force presses from first touch with penalty contact and finray's own elements, and computes no "
+            f"sensitivities; leave out --force, or {_all_of(others)}"
         )
-    if path and (calculix or forced or resumes or arguments.sensitivities or arguments.contact == "barrier"):
+    if path and (clash := own + others):
         raise SimulateError(
-            f"{path} moves the indenter from first touch with penalty contact and finray's own elements; leave out "
-            f"{path}, or --force, --resume, --sensitivities, --contact barrier and --engine"
+            f"{path} moves the indenter along given poses from first touch, with penalty contact and finray's own "
+            f"elements, without sensitivities; leave out {path}, or {_all_of(clash)}"
         )
-    if arguments.sensitivities and (calculix or resumes):
+    if arguments.sensitivities and calculix_or_resumes:
         raise SimulateError(
-            "--sensitivities need a complete press by finray's own finite elements; leave out --resume and --engine"
+            "--sensitivities need a complete press by finray's own finite elements; leave out --sensitivities, or "
+            f"{_all_of(calculix_or_resumes)}"
         )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
-            "--budget is for one press with finray's own elements; leave out --budget, or --engine calculix and "
-            "--sensitivities"
+            "--budget is for one press with finray's own elements; leave out --budget, or "
+            f"{'--engine calculix' if calculix else '--sensitivities'}"
         )
     if calculix and resumes:
         raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
+
+
+def _all_of(options: list[str]) -> str:
+    """Return options as one list in words."""
+    return " and ".join(([", ".join(options[:-1])] if options[1:] else []) + options[-1:])
 
 
 def warn_of_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> None:

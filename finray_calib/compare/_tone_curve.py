@@ -74,7 +74,7 @@ class ToneFit:
     lit: NDArray[np.bool_]
 
     def white_balance(self, light: Floats) -> tuple[Interval | None, Interval | None, Interval | None]:
-        """Return the scale of each channel in linear light, relative to green; None without light in one of both.
+        """Return the scale of each channel in linear light, relative to green; None without light in it or in green.
 
         Parameters
         ----------

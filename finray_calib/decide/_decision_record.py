@@ -392,9 +392,9 @@ def _note_on_error(captures: CaptureErrors) -> str:
     if not captures.names:
         return (
             f"no capture shows how far the finger differs from the simulation. Until one does, {_ERROR_CURVE}. The "
-            f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities are means over such errors. "
-            "For a finger with only one kind of error the probabilities are mostly too low, which only captures can "
-            "show"
+            f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities average over all these errors. "
+            "Where a finger has only one kind of them, its own probabilities are mostly higher; only captures can show "
+            "which errors it has"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen. "

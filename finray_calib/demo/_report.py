@@ -254,7 +254,8 @@ def _decide(results: DemoResults) -> Content:
     decision, sweep = results.decision, results.sweep
     picture = drawing(
         angle_figure(decision, sweep, results.true_sweeps),
-        f"The objective over the light angle is best near {decision.angle_deg:.0f} deg. {decision.sentence}",
+        f"The objective, plotted against the light angle; the best angle is near {decision.angle_deg:.0f} deg. "
+        f"{decision.sentence}",
         "Objective over the angle of the blue light: 0 deg along the pad, 90 deg straight into it. What to see: where "
         "the curve is flat the angle matters little"
         + ("; hatched angles are as good as the chosen one." if decision.statement.equivalent_deg else "."),

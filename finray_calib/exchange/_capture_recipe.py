@@ -611,12 +611,12 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
         ratio = float(np.median(ratios))
         if 1.0 / _DEPTH_FACTOR <= ratio <= _DEPTH_FACTOR:
             return
-        why = f"{ratio:.2g} times the height of the ball's cap over the contact circles, {middle_mm / ratio:.3g} mm"
+        why = f"but ball diameter and contact circles give about {middle_mm / ratio:.3g} mm"
     elif _DEPTHS_MM[0] <= middle_mm <= _DEPTHS_MM[1]:
         return
     else:
         ratio = middle_mm / 1.0
-        why = f"and {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
+        why = f"but {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
     unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
     others = [n for n in _SIZES if n != "depth_mm" and isinstance(getattr(recipe.indenter, n), str)]
     if others:  # their columns may be in mm all the same

@@ -133,7 +133,8 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
         notes=(
             *session.notes,
             f"light repeatability from exposure brackets: {100 * steps.repeatability_rel:.2f} % per exposure",
-            f"largest dark drift from before to after: {max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
+            "largest drift of the dark level, from earlier to later dark frames of one exposure: "
+            f"{max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
             f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} %, the same in every band",
             *_beyond_the_tile(steps),
             *([] if trend is None else [bleaching_note(trend.record)]),

@@ -138,7 +138,7 @@ class DarkLevel:
     thermal_dn
         Level above that of the shortest exposure (DN): dark current, which brings shot noise of its own.
     drift_dn
-        Change of the level from before to after the session (DN).
+        Mean level of the later half of the dark frames less that of the earlier half (DN).
     drift_variance_dn2
         What that drift adds (DN^2), common to the channels: the level at the time of a frame lies evenly between.
     """

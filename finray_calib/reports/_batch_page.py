@@ -445,7 +445,7 @@ def _worst_picture(batch: ComparisonBatch, press: PressPictures) -> Picture:
         first = press.attribution.causes[0]
         cause = f"; most is lost by {first.cause}: {fixed(first.skill_lost, 3)}"
     text = f"{name}: skill {fixed(press.skill, 3)}{cause}"
-    what = f"Captured change, simulated change and the difference that is left, {text}."
+    what = f"Captured change, simulated change and the remaining difference, {text}."
     return Picture(press.tiles, what, text, is_raster=True, is_small=True)
 
 
@@ -466,8 +466,11 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     lead = "No small change of the simulation explains the remaining difference."
     if names:
         cost = fixed(totals[names[0]] / len(told), 3)
-        lead = f"Over these presses {names[0]} costs most: {cost} of skill for each press."
-    remark = "The parts of a row add up to 1 - skill. The page of a press shows sizes and pictures of its causes."
+        lead = f"Most skill is lost by {names[0]}: {cost} for each press, averaged over these presses."
+    remark = (
+        "The parts of a row add up to 1 - skill. The page of each press shows how large each cause of lost skill is, "
+        "with pictures."
+    )
     return Part(
         "Why the worst differ",
         Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),)),

@@ -343,8 +343,8 @@ def _rule(results: Sequence[CertifiedResult]) -> str:
     if all(result.limits is None for result in results):
         return "No rule is needed, because no limits were given and no statement of conformity is made."
     return (
-        "PASS where the probability that the quantity keeps its limits is at least 95 % (JCGM 106, guarded acceptance "
-        "at the limits of the customer), FAIL where it is at most 5 %, UNDECIDED between."
+        "PASS where the probability that the quantity lies within the customer's limits is at least 95 % (JCGM 106, "
+        "guarded acceptance), FAIL where it is at most 5 %, UNDECIDED between."
     )
 
 

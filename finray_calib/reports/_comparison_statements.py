@@ -239,8 +239,8 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
     if any(skill.low95 > 1 for skill in skills):
         told.append(
-            "An interval of a skill that lies entirely above 1 means that model and noise disagree: the difference "
-            "that is left is smaller than the noise that was subtracted. Either this noise is too large, or the "
+            "An interval of a skill that lies entirely above 1 means that model and noise disagree: render and "
+            "capture differ by less than the noise that was subtracted. Either this noise is overestimated, or the "
             "capture was used to make the render."
         )
     if any(skill.high95 > 1 >= skill.low95 for skill in skills):

@@ -238,15 +238,15 @@ def _curve(decision: LightAngleDecision, sweeps: Sequence[LightAngleSweep]) -> P
     several = len(decision.contacts) > 1
     what = "The objective"
     if several:
-        what = "The brightness over all touches" if decision.aim == "brightness" else "The inverse error of the normal"
+        what = "The brightness of all touches" if decision.aim == "brightness" else "The inverse error of the normal"
     certain = bool(decision.statement.equivalent_deg)
     hatched = f"; hatched angles lose at most {percent(decision.tolerance_rel)}" if certain else ""
     picture = drawing(
         angle_figure(decision, sweeps[0]),
-        f"{what} over the light angle is best near {decision.angle_deg:.0f} deg. "
+        f"{what}, plotted against the light angle; the best angle is near {decision.angle_deg:.0f} deg. "
         f"{decision.headline or decision.sentence}",
-        f"{what} over the angle of the light. What to see: where the curve is flat the angle matters little{hatched}. "
-        "The wider the bands, the less is known.",
+        f"{what}, plotted against the light angle. What to see: where the curve is flat the angle matters "
+        f"little{hatched}. The wider the bands, the less is known.",
     )
     lead = (
         f"Objective: {decision.objective.rstrip('.')}. It was rendered at {len(sweeps[0].angles_deg)} angles with "
@@ -315,7 +315,7 @@ def _others(decision: LightAngleDecision, sweep: LightAngleSweep) -> Part:
     sentence = disagreement_sentence(decision) or ""
     picture = drawing(
         other_objectives_figure(decision, sweep),
-        f"The other objectives over the light angle. {sentence}",
+        f"The other objectives, plotted against the light angle. {sentence}",
         "Every objective relative to its best rendered angle, so that 1 is best for each. What to see: an "
         "objective that is far below 1 at the chosen angle is made worse by this choice. Crossed out: angles "
         "that clip or do not fit.",

@@ -155,8 +155,8 @@ class MjpegCamera:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(
-                    f"{self._name}: pictures arrive, but none that was exposed after the request came in time; the "
-                    "camera or its server hangs, or the network is slow"
+                    f"{self._name}: pictures arrive, but before the deadline none arrived that was exposed after the "
+                    "request; the camera or its server hangs, or the network is slow"
                 )
 
     def _require_online(self, part: Part) -> None:

@@ -29,6 +29,13 @@ from rigs.capture._session_folder import SESSION_NAME, clear_session
 from rigs.light_guard import LightLostError, is_hazardous
 
 ORPHANS = "set-aside"
+NO_BEGINNING: Final = (
+    "the line with which the session begins is missing or incomplete; capture the session again, into another folder"
+)
+UNFIT_BEGINNING: Final = (
+    "its first line does not describe a session that this version can resume; resume with the version that began the "
+    "session, or capture it again into another folder"
+)
 CHANGED_EVENT: Final = "signal changed"
 """Of the line of a journal that tells of a frame unlike its metering: either may be wrong."""
 AS_BEFORE_EVENT: Final = "as before"
@@ -120,7 +127,7 @@ class Interrupted:
         CaptureError
             It is none of today's: another version of finray began the session.
         """
-        return _as_today("plan", self.start, kind)
+        return begun_with("plan", self.start, kind)
 
     def rig(self) -> RigFile:
         """Return the rig of the session.
@@ -130,7 +137,7 @@ class Interrupted:
         CaptureError
             It is none of today's: another version of finray began the session.
         """
-        return _as_today("rig", self.start, RigFile)
+        return begun_with("rig", self.start, RigFile)
 
     def clock_after(self, clock: Clock) -> LaterClock:
         """Return a clock that goes on after the interruption; the pause is taken from the time of day, if it grew."""
@@ -153,9 +160,7 @@ def read_interrupted(folder: Path) -> Interrupted:
     lines = read_journal(folder)
     start = next((line for line in lines if line["event"] == "start"), None)
     if start is None or not {"kind", "plan", "rig", "rig_folder", "inputs"} <= start.keys():
-        raise CaptureError(
-            f"{folder / JOURNAL_NAME}: lacks the line with which a session begins; capture it again into another folder"
-        )
+        raise CaptureError(f"{folder / JOURNAL_NAME}: {NO_BEGINNING}")
     rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
     if rig_camera.get("driver") == "folder":
         raise CaptureError(
@@ -265,19 +270,12 @@ def begun_with(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P
 
     Raises
     ------
-    ValidationError
-        It does not fit.
-    RecordError
-        It is of a version that cannot be migrated.
+    CaptureError
+        It is of a version that cannot be migrated, or does not fit.
     """
     version = start.get("schema_versions", {}).get(what, 1)
-    return kind.model_validate(migrate(Path(JOURNAL_NAME), kind, version, dict(start[what])))
-
-
-def _as_today(what: Literal["plan", "rig"], start: dict[str, Any], kind: type[P]) -> P:
-    """Return a plan or rig of a journal as a record of today."""
     try:
-        return begun_with(what, start, kind)
+        return kind.model_validate(migrate(Path(JOURNAL_NAME), kind, version, dict(start[what])))
     except RecordError as error:
         raise CaptureError(f"{error}; resume with the version that began the session, or capture it again") from None
     except ValidationError as error:

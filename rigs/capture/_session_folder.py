@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -411,8 +411,8 @@ def _journal_faults(
     broken = next((line for line in lines if not line.holds), None)
     if broken is not None:
         said.append(
-            f"line {broken.number} or a line before it was changed or removed: its checksum does not follow "
-            f"from the line before"
+            f"line {broken.number}, or an earlier line, was changed or removed: the checksum of line {broken.number} "
+            f"does not follow from the line above it"
         )
     linked = [line for line in lines if line.link]
     if is_sealed and (not linked or not lines[0].link or not lines[-1].link):
@@ -429,14 +429,18 @@ def _journal_faults(
     return [FileFault(path, "changed", text) for text in said]
 
 
+_NO_END: Final = "its last line is not the end of the session, so that lines are missing"
+_NO_CHECKSUM: Final = f"lacks the line that holds the checksum of {SESSION_NAME}"
+
+
 def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Iterator[str]:
     """Yield what is wrong with the last lines of a finished session's journal."""
     last = lines[-1].entry if lines else {}
     if last.get("event") != "stop" or last.get("outcome") != "done":
-        yield "its last line is not the end of the session, so that lines are missing"
+        yield _NO_END
     noted = next((line.entry for line in reversed(lines) if line.entry["event"] == SESSION_EVENT), None)
     if noted is None:
-        yield f"lacks the line that holds the checksum of {SESSION_NAME}"
+        yield _NO_CHECKSUM
     elif session_sha256 is not None and noted.get("sha256") != session_sha256:
         yield f"holds a checksum of {SESSION_NAME} that differs from the file's: one of the two was changed"
 
@@ -473,9 +477,9 @@ def complete_session(folder: Path) -> None:
     CaptureError
         What is there does not agree: checksums would hide that.
     """
-    unfinished = (f"lacks the line that holds the checksum of {SESSION_NAME}", "does not end with the end")
+    unfinished = {_NO_CHECKSUM, _NO_END}
     found = [fault for fault in verify_session(folder).faults if fault.path != folder / MANIFEST_NAME]
-    faults = [fault for fault in found if not fault.text.startswith(unfinished)]
+    faults = [fault for fault in found if fault.text not in unfinished]
     if faults:
         raise CaptureError(
             f"{faults[0].path}: {faults[0].text}; the checksums are not written, because they would hide this: "

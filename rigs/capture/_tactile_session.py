@@ -61,7 +61,7 @@ from rigs.capture._journal import (
     read_journal,
 )
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
-from rigs.capture._resume import CHANGED_EVENT, ORPHANS, begun_with
+from rigs.capture._resume import CHANGED_EVENT, NO_BEGINNING, ORPHANS, UNFIT_BEGINNING, begun_with
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
@@ -270,14 +270,14 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         presses = tuple(PlannedPress.model_validate(press) for press in start["presses"])
         rig_folder = Path(start["rig_folder"])
         device = DeviceIdentity.model_validate(start["device"]) if "device" in start else None
-    except (StopIteration, KeyError, TypeError, ValidationError):
-        raise CaptureError(
-            f"{folder / JOURNAL_NAME}: lacks the line with which a session begins; capture it again into another folder"
-        ) from None
+    except (StopIteration, KeyError):
+        raise CaptureError(f"{folder / JOURNAL_NAME}: {NO_BEGINNING}") from None
+    except (TypeError, ValueError):
+        raise CaptureError(f"{folder / JOURNAL_NAME}: {UNFIT_BEGINNING}") from None
     if rig.camera.driver == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture it "
-            f"again into another folder"
+            f"{folder}: replays a folder of images, and a replay would begin again with the first image; "
+            "capture the session again, into another folder"
         )
     good, unproven = dict[int, TactileFrame](), list[int]()
     for line in lines:

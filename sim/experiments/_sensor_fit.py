@@ -286,10 +286,17 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeParameter,
                 f"--free {name}: must be a positive number of the design by its dotted path, such as "
                 f"{' or '.join(EXAMPLES)}; powers, yields, gain, shift, scale and blur are always fitted"
             )
-        if name.endswith("power_rel") or name.startswith("indenter."):
+        if name.endswith("power_rel"):
+            raise SimulateError(f"--free {name}: powers are always fitted; leave out --free {name}")
+        if name in ("indenter.depth_mm", "indenter.position_mm"):
+            needed = f"{name.removesuffix('_mm')}_uncertainty_mm"
             raise SimulateError(
-                f"--free {name}: powers are always fitted, and so is a press whose capture states the uncertainty of "
-                f"its depth_mm or position_mm; leave it out"
+                f"--free {name}: is fitted for every capture that states {needed}; leave out --free {name}"
+            )
+        if name.startswith("indenter."):
+            raise SimulateError(
+                f"--free {name}: of the indenter only depth_mm and position_mm are fitted, where the capture states "
+                f"their uncertainty; leave out --free {name}"
             )
         # of entries of a list the design states one uncertainty and one origin, that of all
         field = ".".join(part for part in name.split(".") if not part.isdecimal())

@@ -606,7 +606,10 @@ def _sentence(
         )
     if sides:
         row, limit = min(sides, key=lambda pair: (pair[1] or 0.0) / pair[0].given)
-        told += f"; the narrowest limit of a single number is that of {row.field}, {limit:.3g} {row.unit}"
+        told += (
+            f"; of the values varied alone, {row.field} has the narrowest limit relative to its half-range: {limit:.3g}"
+            f"{'' if row.unit == '1' else f' {row.unit}'}"
+        )
     most = max(rows, key=lambda row: row.total.estimate)
     if not most.is_distinguishable:
         return f"{told}; no number's share of the variance can be distinguished from 0."

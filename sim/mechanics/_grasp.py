@@ -539,7 +539,7 @@ def grasp_object(
         )
     if task.mass_kg > 0.0 and task.down != "near" and design.indenter.friction == 0.0:
         raise SimulateError(
-            "indenter.friction = 0: nothing but friction carries a weight along or across the fingers; set "
+            "indenter.friction = 0: only friction can hold a weight that pulls along or across the fingers; set "
             "indenter.friction, the coefficient between object and coat, or leave --mass out"
         )
     settings = settings or PressSettings()

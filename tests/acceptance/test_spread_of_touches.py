@@ -59,6 +59,21 @@ def test_touches_that_scatter_do_not_show_that_the_position_survived(
     assert row.verdict == verdict, row
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "why"),
+    [
+        (6, 1, "1 after the stops (2 are needed)"),
+        (3, 2, "3 before the stops (4 are needed)"),
+        (3, 0, "0 after the stops (2 are needed) and 3 before the stops (4 are needed)"),
+    ],
+)
+def test_too_few_touches_are_counted_before_and_after_the_stops(before: int, after: int, why: str) -> None:
+    facts = PressFacts(touches=(touched(-6.0),) * before, after_stops=(touched(-6.0),) * after)
+    (row,) = device_checks._after_stops(facts, TactileCheckPlan(check_name="x", position_mm=8.0))  # noqa: SLF001
+    assert row.verdict == "UNDECIDED"
+    assert f"too few touches were made: {why}" in row.model_dump_json()
+
+
 def test_the_scatter_of_touches_is_that_of_their_difference() -> None:
     """2000 stages that lose nothing: the difference over its uncertainty is beyond 1.645 in no more than 10 %."""
     rng, beyond, plan = np.random.default_rng(2), 0, TactileCheckPlan(check_name="x", position_mm=8.0)

@@ -383,7 +383,7 @@ def test_a_stage_that_drives_on_after_its_stop_fails(practice: Path, monkeypatch
     lying(monkeypatch, deaf)
     report, _ = checked(practice)
     assert named(report, "stage stops on request").verdict == "FAIL"
-    assert "went on to the end of its move" in named(report, "stage stops at a silent cell").evidence
+    assert "did not stop before the end of its move" in named(report, "stage stops at a silent cell").evidence
 
 
 def test_nobody_who_says_yes_is_nothing_that_moves(practice: Path, monkeypatch) -> None:

@@ -167,7 +167,10 @@ def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"holds no interrupted session \(journal\.jsonl\); give the folder"):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
-    with pytest.raises(CaptureError, match=r"lacks the line with which a session begins"):
+    with pytest.raises(
+        CaptureError,
+        match=r"the line with which the session begins is missing or incomplete; capture the session again",
+    ):
         read_interrupted(tmp_path)
 
 

@@ -152,5 +152,19 @@ def test_resume_through_the_command_line(sensor, tmp_path, monkeypatch):
 @pytest.mark.parametrize("start", ["", '{"event": "start", "kind": "tactile"}', '{"event": "start", "kind": "paint"}'])
 def test_journal_without_a_start_is_refused(tmp_path, start):
     (tmp_path / "journal.jsonl").write_text(start + '\n{"event": "frame", "file": "no"}\n', encoding="utf-8")
-    with pytest.raises(CaptureError, match="lacks the line with which a session begins"):
+    with pytest.raises(CaptureError, match="the line with which the session begins is missing or incomplete"):
+        read_interrupted_presses(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("plan", "why"),
+    [
+        ('{"nonsense": 1}', "the plan in its first line does not fit this version"),
+        ("3", "its first line does not describe a session that this version can resume"),
+    ],
+)
+def test_journal_of_another_version_is_not_called_incomplete(tmp_path, plan, why):
+    start = f'{{"event": "start", "kind": "tactile", "plan": {plan}, "rig": {{}}, "presses": [], "rig_folder": "."}}'
+    (tmp_path / "journal.jsonl").write_text(start + "\n", encoding="utf-8")
+    with pytest.raises(CaptureError, match=why):
         read_interrupted_presses(tmp_path)

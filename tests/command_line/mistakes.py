@@ -681,7 +681,7 @@ CASES = (
     Case(
         "a surrogate of a press to a force",
         MECHANICS + " --surrogate {tmp}/none.json --force 2",
-        r"--surrogate computes only a press along the pad's normal, without friction; leave it out, or leave out --f",
+        r"--surrogate computes only a press to a given depth .*, without friction; leave out --surrogate, or --force",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(

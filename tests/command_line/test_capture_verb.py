@@ -15,7 +15,7 @@ import pytest
 from data_schemas import LampSettings, LaserSettings, RigFile
 from data_schemas.storage import read_toml
 from rigs import write_rig
-from rigs.capture import read_session
+from rigs.capture import read_session, verify_session
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.programs import free_port
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
@@ -122,6 +122,18 @@ def test_session_that_lacks_its_checksums_only_gets_them(lab: Path, tmp_path: Pa
     assert "was complete except for its checksums" in succeed(f"capture --resume {out}")
     assert (out / "manifest-sha256.txt").read_text() == whole
     assert "is finished already" in mistake(f"capture --resume {out}")
+
+
+@pytest.mark.parametrize("lost_lines", [1, 2])
+def test_session_whose_journal_lacks_only_its_end_gets_it(lab: Path, tmp_path: Path, lost_lines: int) -> None:
+    """The capture was killed after ``session.json``, before the last or the last two lines of the journal."""
+    out = tmp_path / "out"
+    shutil.copytree(lab / "session", out)
+    (out / "manifest-sha256.txt").unlink()
+    lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
+    (out / "journal.jsonl").write_text("".join(lines[:-lost_lines]))
+    assert "was complete except for its checksums" in succeed(f"capture --resume {out}")
+    assert verify_session(out).faults == ()
 
 
 def test_session_like_an_earlier_one_says_so(lab: Path, tmp_path: Path) -> None:

@@ -65,7 +65,11 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path, monkeypatch: pytest.Monke
         ("--force 1 --down up", "", "invalid choice: 'up'"),
         ("--force 1 --out {tmp}/found.txt", "", "ends in .json"),
         ("--force 1", "[[indenter.path]]\npush_mm = 1.0\n", "indenter.path: has 1 poses"),
-        ("--force 1 --mass 0.1", "frictionless", "indenter.friction = 0: nothing but friction carries a weight along"),
+        (
+            "--force 1 --mass 0.1",
+            "frictionless",
+            "indenter.friction = 0: only friction can hold a weight that pulls along",
+        ),
     ],
 )
 def test_what_cannot_be_gripped_is_refused(words: str, more: str, message: str, tmp_path: Path) -> None:

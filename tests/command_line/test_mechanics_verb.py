@@ -121,18 +121,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
-            "--path, or --force",
+            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
+            "elements, without sensitivities; leave out --path, or --force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
-            "--path, or --force",
+            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
+            "elements, without sensitivities; leave out --path, or --contact barrier",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter from first touch with penalty contact and finray's own elements; leave out "
-            "--path, or --force",
+            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
+            "elements, without sensitivities; leave out --path, or --sensitivities",
         ),
     ],
 )
@@ -260,7 +260,11 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
             "--seed 1",
             r"finray simulate: error: 'finray simulate press' does not take --seed 1; .* --help' lists what can be",
         ),
-        ("", "--force 2 --contact barrier", r"--force presses from first touch with penalty contact"),
+        (
+            "",
+            "--force 2 --contact barrier",
+            r"--force presses from first .*; leave out --force, or --contact barrier\n",
+        ),
         ("", "--force 2 --resume d.increments", r"--force presses from first touch with penalty contact"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
         (

@@ -271,7 +271,7 @@ def test_it_reads_well_without_eyes_or_mouse(html):
     texts = [str(image["alt"]) for image in page.all("img")]
     assert len(texts) == 3
     assert "shines at 32 deg from the pad's plane" in texts[0]
-    assert "best near 32 deg. 32 deg: true optimum within 5 deg" in texts[1]
+    assert "the best angle is near 32 deg. 32 deg: true optimum within 5 deg" in texts[1]
     assert "surface normal is best at 62 deg" in texts[2]
     assert {heading.get("scope") for heading in page.all("th")} == {"col", "row"}
     assert len(page.all("caption")) == len(page.all("table")) == 5

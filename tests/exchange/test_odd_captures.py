@@ -99,7 +99,12 @@ def test_letters_of_two_parts_and_hidden_files_of_macos_are_read(tmp_path):
     ("column", "value", "recipe", "message"),
     [
         ("depth", 0.00045, 'depth_mm = "depth"\n', r"median depth of 4 presses is 0\.00045 mm, .* columns_in = \"m\""),
-        ("depth", 450, 'depth_mm = "depth"\n', r"450 mm, .* cap over the contact circles, 0\.458 mm.* = \"um\""),
+        (
+            "depth",
+            450,
+            'depth_mm = "depth"\n',
+            r"450 mm, but ball diameter and contact circles give about 0\.458 mm.* = \"um\"",
+        ),
         ("depth", -0.45, 'depth_mm = "depth"\n', r"its depth, from first touch, is -0\.45 mm in the table"),
         ("depth", 0, 'depth_mm = "depth"\n', r"its depth, from first touch, is 0 mm in the table; it must be above 0"),
         ("depth", "0,45", 'depth_mm = "depth"\n', r"depth of p0 must be a number, got '0,45'; write it with a decimal"),

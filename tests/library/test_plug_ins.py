@@ -451,11 +451,11 @@ def test_deck_refuses_what_it_cannot_hold(parts, tmp_path):
     for table, told in (
         (
             '[mechanics.gel]\nlaw = "yeoh"\nparameters = { c1_mpa = 0.1333 }',
-            "is a law of another package, which a deck",
+            "is a law of another package, which an input deck of CalculiX or Abaqus cannot contain",
         ),
         (
             '[indenter]\nshape = "capsule"\nparameters = { radius_mm = 6.0 }',
-            r'indenter.shape = "capsule": a deck holds',
+            r'indenter.shape = "capsule": an input deck of CalculiX or Abaqus can contain',
         ),
     ):
         (tmp_path / "finger.toml").write_text(f"{SMALL}{table}\n")

@@ -125,10 +125,20 @@ def test_captures_that_do_not_go_together_are_refused(change, told):
         fit_sensor(DrawnSensor(), [capture, other], FREE)
 
 
-@pytest.mark.parametrize("name", ["pad.nose", "lights.0.power_rel", "indenter.depth_mm", "camera.width_px", "walls"])
-def test_numbers_that_cannot_be_free_are_refused(name):
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("pad.nose", "must be a positive number"),
+        ("lights.0.power_rel", "powers are always fitted; leave out"),
+        ("indenter.depth_mm", "is fitted for every capture that states indenter.depth_uncertainty_mm; leave out"),
+        ("indenter.radius_mm", "of the indenter only depth_mm and position_mm are fitted"),
+        ("camera.width_px", "must be a positive number"),
+        ("walls", "must be a positive number"),
+    ],
+)
+def test_numbers_that_cannot_be_free_are_refused(name, why):
     _, capture = hidden_sensor(0)
-    with pytest.raises(SimulateError, match=f"--free {name}: "):
+    with pytest.raises(SimulateError, match=f"--free {name}: {why}"):
         fit_sensor(DrawnSensor(), [capture], [name])
 
 

@@ -175,8 +175,8 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
             continue
         if not isinstance(material, Ogden):
             raise SimulateError(
-                f"mechanics.{name}: {material.name} is a law of another package, which a deck cannot hold; take law "
-                "out of the design, or press without --engine calculix"
+                f"mechanics.{name}: {material.name} is a law of another package, which an input deck of CalculiX or "
+                "Abaqus cannot contain; take law out of the design, or press without --engine calculix"
             )
         d1 = 2.0 / material.bulk_modulus_mpa
         if material.alpha == (2.0,):
@@ -202,7 +202,8 @@ def _stand_in(name: str, material: Ogden) -> InvariantLaw:
         raise SimulateError(
             f"mechanics.{name}: every polynomial of second order deviates from this Ogden rubber by "
             f"{100.0 * law.deviation_rel:.0f} % or more for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}; "
-            f"a deck for CalculiX allows {100.0 * _LARGEST_DEVIATION_REL:g} %. Press without --engine calculix"
+            f"in an input deck of CalculiX at most {100.0 * _LARGEST_DEVIATION_REL:g} % are allowed. "
+            "Press without --engine calculix"
         )
     return law
 
@@ -305,7 +306,8 @@ def _rounded(body: Body, across_mm: float) -> tuple[float, tuple[float, float], 
         x, y, z = (half - body.edge_radius_mm for half in body.half_sizes_mm)
         return body.edge_radius_mm, (x, z), y, (_REACH_DEG, _REACH_DEG), 2.0 * _BALL_FACET_DEG
     raise SimulateError(
-        "a deck can hold only an indenter of shape cylinder, ball or cuboid; change indenter.shape, or press without "
+        "an input deck of CalculiX or Abaqus can contain only a cylinder, a ball or a cuboid as indenter; change "
+        "indenter.shape, or press without "
         "--engine calculix"
     )
 
@@ -569,21 +571,23 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
     indenter = None if other else rigid_indenter(design)
     if indenter is None or indenter.body is None:
         raise SimulateError(
-            f'indenter.shape = "{design.indenter.shape}": a deck holds a cylinder, a ball or a cuboid; press another '
-            "body without --engine calculix"
+            f'indenter.shape = "{design.indenter.shape}": an input deck of CalculiX or Abaqus can contain a '
+            "cylinder, a ball or a cuboid; press another body with finray's own elements (without --engine calculix)"
         )
     tilt_deg = float(np.degrees(np.arccos(np.clip(indenter.touching.rotation[1, 1], -1.0, 1.0))))
     if design.indenter.shape != "ball" and tilt_deg > _STEEPEST_DEG:
         raise SimulateError(
             f"indenter.rotation_deg = {list(design.indenter.rotation_deg)} deg tilts the indenter by {tilt_deg:.0f} "
-            f"deg; a deck holds its underside and takes at most {_STEEPEST_DEG:g} deg. Swap its sizes to turn it by 90 "
-            "deg, or press without --engine calculix"
+            f"deg; an input deck of CalculiX or Abaqus contains only its underside, so at most {_STEEPEST_DEG:g} deg "
+            "are allowed. Swap its sizes to turn it by 90 deg, or press with finray's own elements (without --engine "
+            "calculix)"
         )
     if design.indenter.shape == "ball" and depth_mm > deepest_ball_mm(design.indenter.radius_mm):
         raise SimulateError(
-            f"indenter.depth_mm = {depth_mm:g} mm: a deck holds the underside of a ball and takes at most "
-            f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm with indenter.radius_mm = "
-            f"{design.indenter.radius_mm:g} mm; press without --engine calculix"
+            f"indenter.depth_mm = {depth_mm:g} mm: an input deck of CalculiX or Abaqus contains a ball only up "
+            f"to {_BALL_REACH_DEG:g} deg from its lowest point, so at most "
+            f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm are allowed with indenter.radius_mm = "
+            f"{design.indenter.radius_mm:g} mm; press with finray's own elements (without --engine calculix)"
         )
     # an endless cylinder is cut off beyond the pad, wherever it lies and whichever way it is turned
     length_mm = 2.0 * (design.pad.width_mm + design.pad.length_mm)
