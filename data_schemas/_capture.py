@@ -380,8 +380,8 @@ class TactileCapture(Record):
     def _images_agree(self) -> "TactileCapture":
         if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
             raise ValueError(
-                "contact_outline: needs 3 corners or more, and cannot be given together with contact_circle; leave "
-                "contact_circle out"
+                "contact_outline: needs 3 corners or more, and cannot be given together with contact_circle; correct "
+                "the outline, or leave one of the two out"
             )
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
@@ -537,7 +537,7 @@ class TactilePlan(Record):
     bracket_powers: tuple[Annotated[int, Field(ge=0, le=31)], Annotated[int, Field(ge=0, le=31)]] | None = Field(
         default=None,
         description="in place of 'exposures_s': exposures of 2^n microseconds for all n from the first to the last "
-        "number, where the rig's camera allows them, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
+        f"number, where the rig's camera allows them, such as [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]",
     )
     led_current_ma: CurrentMa = Field(description="current of the blue LED panel")
     light_angle_deg: AngleDeg = Field(description="measured angle of the panel's normal from the pad plane")

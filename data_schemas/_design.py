@@ -581,7 +581,7 @@ class PlainSensor(Record):
         """Return also what a surface, clear walls or an ideal camera leaves without effect."""
         idle = super().unused_fields()
         idle["indenter.path"] = (
-            "a classic sensor's indenter is pressed along the pad's normal, by depth_mm; leave it out"
+            "a classic sensor's indenter is pressed along the pad's normal, by depth_mm; leave indenter.path out"
         )
         if self.surface is not None:
             idle["indenter"] = "[surface] and [indenter] both state the pressed shape; leave out one of the two tables"

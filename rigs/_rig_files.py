@@ -435,7 +435,7 @@ def _paint_plan_toml(plan: PaintPlan) -> str:
     if plan.second_tilt_deg is not None and plan.second_tilt_filters is not None:
         tilt = f"""second_tilt_deg = {plan.second_tilt_deg!r}
 second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
-    return f"""# A paint session: white tile, sample beside a ColorChecker, sample. Tile, sample: through all filters.
+    return f"""# A paint session: white tile, sample beside a ColorChecker, sample; tile and sample through filters.
 schema_version = {plan.schema_version}
 kind = "{plan.kind}"
 paint_name = {_quoted(plan.paint_name)}

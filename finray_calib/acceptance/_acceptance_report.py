@@ -486,7 +486,9 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
     elif passed <= 3.0 * passed_sd:
         reason = f"the laser is not seen behind filter {stray.passed.filter_name} either; check tile, box and laser"
     elif max(dn for one in stray.blocked for dn in one.level.dark_dn) > SATURATED_SHARE * (2**camera.bit_depth - 1):
-        reason = "the frames with the laser off are saturated, so stray light would not show; find the light"
+        reason = (
+            "the frames with the laser off are saturated, so stray light would not show; find which other light is on"
+        )
     if reason is not None:
         return (unmeasured("stray light", name, what, "UNDECIDED", reason, words),)
 

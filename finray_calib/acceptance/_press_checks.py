@@ -86,8 +86,9 @@ ONE_OF_THEM: Final = (
     "place another mass, or give the certificate of this one"
 )
 ONE_STEP: Final = (
-    "no move was long enough to be stopped before its end, so this shows only that no further step was begun, not that "
-    "a force stops a move; raise force_limit_n of the plan, or shorten step_mm of the rig file"
+    "in some or all tries the move was too short, or the force grew too little, for a stop before its end to show: "
+    "those tries show only that no further step was begun, not that a force stops a move; raise force_limit_n of the "
+    "plan, or shorten step_mm of the rig file"
 )
 TO_ITS_END: Final = "a move was not seen to be stopped before its end"
 NO_FORCE_PASSED: Final = "a move ended without a reading beyond its limit, so no force stopped it"

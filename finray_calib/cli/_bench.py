@@ -58,7 +58,7 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the results; needs --command")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
-        help="command that runs your simulator, as one string; without it, only the look-up table is scored",
+        help="command that runs your simulator, as one string; without it, only the rows of finray are scored",
     )  # fmt: skip
     tactile.add_argument("--teach", type=int, default=MOST_TEACHING, metavar="N", help="training presses (default: 6)")
     tactile.add_argument(

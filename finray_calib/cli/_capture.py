@@ -226,7 +226,7 @@ def capture_paint(arguments: argparse.Namespace) -> None:
             healing_s=expected.healing_s,
         )  # fmt: skip
         say(f"{expected.steps} steps, at most {expected.most_frames} frames, {1e-6 * expected.disk_bytes:.0f} MB")
-        say(f"{expected.targets} changes between sample and references, {expected.moves} moves of the wheel")
+        say(f"targets to be placed in view: {expected.targets}; moves of the wheel: {expected.moves}")
         say(_stated(expected.typical_s, expected.longest_s, expected.healing_s))
         for instruction in dict.fromkeys(nobody.instructions):
             say(f"you will be asked during the capture: {instruction}")

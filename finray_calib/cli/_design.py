@@ -161,7 +161,7 @@ def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
         "--lining-mm",
         type=float,
         metavar="MM",
-        help="thickness of the sheet on the mould's floor (default: 0.1, the paper's Mylar; 0 for an ellipsoidal pad)",
+        help="thickness of the sheet on the mould's bottom (default: 0.1, the paper's Mylar; 0 for an ellipsoidal pad)",
     )
     export.set_defaults(run=run_export)
 

@@ -396,11 +396,11 @@ def run_abaqus(arguments: argparse.Namespace) -> None:
 
 DESCRIPTION = """\
 Import a folder of presses of another lab as tactile captures. A recipe, a short TOML file, says which files are the
-presses, where the image without contact is, and which columns hold the contact, the scale and the ball. Give the name
-of a recipe that comes with finray (--list shows the names) or a file of your own. From a video the images with contact,
-without contact, and its repeat are taken. Contact circles that the set does not state are searched for. OUT gets a
-capture of each press, a picture of all contacts to check (contacts.png), and circles.csv. If a circle is wrong, correct
-circles.csv and import again with --circles.
+presses, where the image without contact is, which columns hold the contact, and what the scale and the ball are. Give
+the name of a recipe that comes with finray (--list shows the names) or a file of your own. From a video the images with
+contact, without contact, and its repeat are taken. Contact circles that the set does not state are searched for. OUT
+gets a capture of each press, a picture of all contacts to check (contacts.png), and circles.csv. If a circle is wrong,
+correct circles.csv and import again with --circles.
 
 With --predict-from N, N presses spread over the set train a look-up table. What the table predicts of each other press
 is stored beside its capture, and 'finray compare OUT OUT' then scores these predictions as a yardstick for simulators.

@@ -156,7 +156,10 @@ def _report_taught(taught: "PressSurrogate", out: Path, kept: Path) -> None:
     shares = {name: np.quantile(values, [0.5, taught.level_share]) for name, values in errors.items()}
     for name, (half, most) in shares.items():
         share = f"{100 * taught.level_share:.0f} % of them up to {100 * most:.2f} %"
-        say(f"  {name}: of the presses kept for testing, half have an error of up to {100 * half:.2f} %, {share}")
+        say(
+            f"  {name}: with its press left out of the training, half of the samples have an error of up to "
+            f"{100 * half:.2f} %, {share}"
+        )
     if taught.crossed_features is not None:
         say(
             "  ribs pass through each other or buckle in some presses; presses similar to those are computed by "

@@ -464,7 +464,8 @@ def _report_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
         turns_deg=motion.turns_deg, patch_mm2=motion.patch_mm2, stuck_mm2=motion.stuck_mm2,
         friction_work_n_mm=mechanics.friction_work_n_mm,
     )  # fmt: skip
-    say("  on the indenter: force (N), and torque (N mm) about its middle; x across, y along the normal, z along")
+    say("  on the indenter: force (N), and torque (N mm) about its middle;")
+    say("  x across, y along the normal, z along the finger")
     rows = zip(
         motion.moves_mm, motion.turns_deg, mechanics.force_n, motion.torque_n_mm, motion.patch_mm2, motion.stuck_mm2,
         strict=True,

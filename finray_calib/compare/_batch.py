@@ -422,7 +422,8 @@ def _interval_of_left_over(units: _Units, left: float) -> tuple[float | None, fl
     """Return both ends of the skill's interval, and how they were formed."""
     n = len(units.errors)
     if n < LEAST_UNITS:
-        return None, None, f"no interval: it needs three independent presses, sessions or sensors, and there are {n}"
+        are = "is" if n == 1 else "are"
+        return None, None, f"no interval: it needs three independent presses, sessions or sensors, and there {are} {n}"
     t = float(stdtrit(n - 1, 0.5 + _COVERAGE / 2.0))
     without = _left_without_each(units.errors, units.signals)
     if (units.errors > 0.0).all():

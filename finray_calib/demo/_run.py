@@ -209,9 +209,9 @@ def _is_complete(out: Path, product: Product, missing: set[str]) -> bool:
     made_from = {} if record.provenance is None else record.provenance.input_sha256
     for needed in product.inputs:
         if needed in missing or made_from.get(needed) != sha256_of(out / needed):
+            why = "is not complete" if needed in missing else "has changed since"
             raise RecordError(
-                f"{path}: was made from another {needed} than the present one; move {path.name} away to have it made "
-                "again"
+                f"{path}: was made from {needed}, which {why}; move {path.name} away to have it made again"
             )
     if product.is_session:
         _require_complete(path.parent)

@@ -207,7 +207,7 @@ class RecipeIndenter(Model):
                 raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
         columns = [name for name in _SIZES if isinstance(getattr(self, name), str)]
         if self.columns_in != "mm" and not columns:
-            raise ValueError("columns_in is the unit of columns, but [indenter] names none; leave it out, give mm")
+            raise ValueError("columns_in is a unit of columns, but [indenter] names none; leave columns_in out")
         for name in self.columns_in if isinstance(self.columns_in, dict) else ():
             if name not in columns:
                 raise ValueError(
@@ -455,7 +455,7 @@ def _json_number(path: Path, name: str, at: int | None) -> float:
         raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)) or 'nothing'}")
     values = found[name] if found[name] and isinstance(found[name], list) else [found[name]]
     if (at is None and len(values) != 1) or (at or 0) >= len(values):
-        raise ImportFormatError(f"{path}: '{name}' holds {len(values)} numbers; name one, such as {name}[0]")
+        raise ImportFormatError(f"{path}: '{name}' has entries 0 to {len(values) - 1}; name one, such as {name}[0]")
     number = values[at or 0]
     if isinstance(number, bool) or not isinstance(number, (int, float)) or not np.isfinite(float(number)):
         raise LeftOutError(f"its '{name}' is not a finite number")

@@ -477,7 +477,7 @@ class _Folder:
             return None
         if source.column is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}', force.column: missing; name the key that holds the force"
+                f"recipe '{self.recipe.name}', force.column: missing; name the column, array or key of the force"
             )
         return self._quantity(name, source.file, source.press, source.column) * source.factor
 
@@ -586,7 +586,10 @@ class _Folder:
         if isinstance(value, float):
             return value
         if file is None:
-            raise ImportFormatError(f"recipe '{self.recipe.name}': no file is named for '{value}'; add the key file")
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': no file is named for '{value}'; add the key file to [contact], or to "
+                "[indenter] for a number of the indenter"
+            )
         path = named_file(self.folder, file, name)
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")

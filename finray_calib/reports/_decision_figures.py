@@ -474,12 +474,15 @@ def light_map_sentence(found: LightPlaceMap) -> str:
     for k, (name, values, unit) in enumerate(zip(found.fields, (found.first, found.second), found.units, strict=True)):
         inside = values[alike.any(axis=1 - k)]
         ranges.append(f"{name} from {inside.min():g} to {inside.max():g}" + ("" if unit == "1" else f" {unit}"))
-    unbuilt = int(np.isnan(error).sum())
+    unbuilt, more = int(np.isnan(error).sum()), int(alike.sum()) - 1
+    others = "All others that can be built are distinguishable from it."
+    if more > 0:
+        who = "other is" if more == 1 else "others are"
+        others = f"{more} {who} not distinguishable from it, within {' and '.join(ranges)}."
     return (
         f"Of {error.size} fingers of the map, the one with {found.fields[0]} = {found.first[i]:g} and "
         f"{found.fields[1]} = {found.second[j]:g} senses normals best, with an error of {error[i, j]:.2f} deg. "
-        f"{int(alike.sum()) - 1} others are not distinguishable from it: {' and '.join(ranges)}."
-        + (f" {unbuilt} cannot be built." if unbuilt else "")
+        f"{others}" + (f" {unbuilt} cannot be built." if unbuilt else "")
     )
 
 

@@ -181,11 +181,12 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     if len(decision.contacts) < 2 or value is None or average_deg is None or worst_deg is None:
         return None
     weights = [contact.weight_share for contact in decision.contacts]
+    kind = "a loss of" if decision.aim == "brightness" else "an error larger by"
 
     def told(angle_deg: float) -> str:
         at = int(np.abs(decision.grid_deg - angle_deg).argmin())
         losses = lost_rel(decision, np.maximum(1.0 - value[:, at], 0.0))
-        return f"a loss of {percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at most"
+        return f"{kind} {percent(float(losses @ weights))} on average and {percent(float(losses.max()))} at most"
 
     chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (

@@ -258,7 +258,7 @@ class _Recorder:
                 return
             again = self._store.take_back()
             self._journal.append(
-                "refused", text=f"{told[0]}; the {len(again)} dark frames that were taken before are not used"
+                "refused", text=f"{told[0]}; dark frames that were taken before and are not used: {len(again)}"
             )
             if is_last:  # a camera that is late for good was late in the light, too
                 self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=told[0])

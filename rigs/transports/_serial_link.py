@@ -365,7 +365,7 @@ class SerialLink:
         if not self._address.startswith(LASTING_NAMES):
             renamed += (
                 "; a port that was plugged in again may have a new name, so write its lasting link under "
-                "{LASTING_NAMES} into the rig file"
+                f"{LASTING_NAMES} into the rig file"
             )
         return LostError(
             f"{self._name}: cannot be opened ({system_words(error)}); check cable and power, and the address with "

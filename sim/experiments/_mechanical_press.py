@@ -314,7 +314,7 @@ def _mechanics(
         motion=None if pressed.motion is None else _motion(design, pressed, pressed.motion),
         notes=(
             pressed.contact,
-            *([f"{pressed.crossing}: the results from that increment on are not physical"] if pressed.crossing else []),
+            *([f"{pressed.crossing}: the results from there on are not physical"] if pressed.crossing else []),
             *([pressed.unstable] if pressed.unstable else []),
             *_chord_note(design, preset, pressed),
             f"gel: {_law(gel)}, K/mu = {gel.bulk_over_shear:g} (the paper gives no K)",

@@ -396,8 +396,8 @@ def _check_same_press(press: TaughtPress, wanted: FingerDesign, preset: Preset, 
     """Check that a press, which may have been stored, is the one that is wanted."""
     same = press.preset == preset and press.design.indenter == wanted.indenter
     if not same or _differs(press.design, wanted):
-        what = f"press {number + 1} in the folder belongs to another design, mesh or version"
-        raise SimulateError(f"{what}; give another --out, or remove that folder")
+        what = f"press {number + 1} in the folder of presses belongs to another design, mesh or version"
+        raise SimulateError(f"{what}; give another --out, or remove NAME.presses beside --out")
 
 
 def press_to_teach(

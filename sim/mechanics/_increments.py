@@ -28,7 +28,7 @@ _PATIENCE = 25
 _TOUCHING = 0.1  # of an increment's way: what touches there is held in the linear answer that a search starts from
 _MOST_ROUNDS = 12  # renewals of lagged forces; each takes the change down to about the coefficient of friction
 LAGGED_REL = 1e-3  # of the forces, out of balance: nearer than this is of no use while lagged forces still change
-# and from where the curvature of sharp edges counts: without it 10 to 20 iterations follow where a coat slips over one
+# and, in a press to a depth, from where the curvature of sharp edges counts: without it 10 to 20 iterations follow
 CURVED_REL = 1e-2
 
 
@@ -250,13 +250,14 @@ class _Search:
         """Return the equilibrium at which nothing that terms have lagged changes any more."""
         if self.load.settle is None:
             return reached
+        final = replace(self.options, patience=options.patience)
         for _ in range(_MOST_ROUNDS):
             if reached.failure:
                 return reached
             if self.load.settle(reached.state):
-                if options is self.options:
+                if options is final:
                     return reached
-                options = self.options
+                options = final
             further = self._from(reached.state, supports, options)
             reached = replace(further, iterations=reached.iterations + further.iterations)
         return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")

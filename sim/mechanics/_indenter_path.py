@@ -261,7 +261,7 @@ def press_along(
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
-        raise SimulateError("--contact barrier cannot turn an indenter along [[indenter.path]]; leave --contact out")
+        raise SimulateError("--contact barrier cannot turn an indenter, as [[indenter.path]] may; leave --contact out")
     watch = Watch(progress, path.total, settings.budget_s)
     touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)

@@ -207,7 +207,7 @@ class PackagedBody:
         self.least_radius_mm = self._least_radius_mm(places) if self.surface_off_mm <= CHORD_MM else 0.0
 
     def distances(self, points_mm: FloatArray) -> Distances:
-        """Return distance and gradient; the second derivative, which no press uses, is given as zero."""
+        """Return distance and gradient; the second derivative, which packages do not give, is taken as zero."""
         distance, gradient = self._given(points_mm)
         return distance, gradient, np.zeros((len(points_mm), 3, 3))
 

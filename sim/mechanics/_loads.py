@@ -331,7 +331,7 @@ def press_to_force(
     predict = Extrapolation()
     predict(assembly.at_rest(), 0.0, 0.0)
     history = PressHistory(assembly, ties, touch)
-    history.unstable = first.unstable and f"at first touch {first.unstable}"
+    history.unstable = first.unstable and f"at first touch, {first.unstable}"
     reached_n = 0.0
     try:
         load = Load(lambda share: touch.push_with(share * force_n))

@@ -493,7 +493,7 @@ def bent(shape: FingerShape, radius_mm: float) -> FingerShape:
     if (-radius_mm >= 2.0 * lowest) if radius_mm > 0.0 else (-radius_mm <= 2.0 * highest):
         raise ImpossibleFingerError(
             f"a bending radius of {radius_mm:g} mm folds a finger that reaches from y = {lowest:g} to {highest:g} mm; "
-            "give a larger radius"
+            "give a radius of larger absolute value"
         )
     centre = -radius_mm
 

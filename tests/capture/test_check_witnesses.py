@@ -177,7 +177,11 @@ def test_a_move_that_no_force_stops_fails(practice: Path, monkeypatch) -> None:
     [
         ("mass_kg = 0.2", "mass_kg = 0.3", "the check 'calibration holds' did not confirm"),
         ("stops = 3", "stops = 1", "1 stops are too few"),
-        ("stops = 3", "stops = 3\nforce_limit_n = 0.6", "no move was long enough to be stopped before its end"),
+        (
+            "stops = 3",
+            "stops = 3\nforce_limit_n = 0.6",
+            "in some or all tries the move was too short",
+        ),
     ],
 )
 def test_a_stop_within_a_move_needs_room_repeats_and_a_cell_that_is_right(

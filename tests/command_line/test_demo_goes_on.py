@@ -153,9 +153,9 @@ def without_input(out: Path) -> None:
         (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
         (
             other_input,
-            r"two\.json: was made from another one\.json than the present one; move two\.json away to have it",
+            r"two\.json: was made from one\.json, which has changed since; move two\.json away to have it made again",
         ),
-        (without_input, r"two\.json: was made from another one\.json than the present one; move two\.json away"),
+        (without_input, r"two\.json: was made from one\.json, which is not complete; move two\.json away"),
         (cut_off, r"two\.json: cannot be read as JSON"),
     ],
 )

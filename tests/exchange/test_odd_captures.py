@@ -162,7 +162,7 @@ def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
             "[picture]\nfull_scale = 1.0\n[scale]",
             r"full_scale belongs to OpenEXR images, and p0\.png",
         ),
-        ("9.2", '9.2\ncolumns_in = "m"', r"columns_in is the unit of columns, but \[indenter\] names none"),
+        ("9.2", '9.2\ncolumns_in = "m"', r"columns_in is a unit of columns, but \[indenter\] names none"),
     ],
 )
 def test_a_recipe_with_one_number_wrong_is_refused(tmp_path, old, new, message):

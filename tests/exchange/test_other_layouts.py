@@ -467,7 +467,7 @@ def test_a_press_whose_json_label_holds_no_number_is_left_out_as_one_without_a_l
     [
         ('[{"Fz": 1.0}]', r"1\.json: must be one object \{ \.\.\. \} with the labels of its press"),
         ('{"Fz": 1.0, "r": 5}', r"1\.json: 'contact\.x' is missing; it holds Fz, r$"),
-        ('{"Fz": [1.0, 2.0]}', r"1\.json: 'Fz' holds 2 numbers; name one, such as Fz\[0\]$"),
+        ('{"Fz": [1.0, 2.0]}', r"1\.json: 'Fz' has entries 0 to 1; name one, such as Fz\[0\]$"),
     ],
 )
 def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, text, message):

@@ -242,7 +242,7 @@ def test_teaching_goes_on_after_the_last_press(
     np.testing.assert_allclose(again.amplitudes_rel, taught.amplitudes_rel)
     stiffer = design.model_copy(update={"pad": design.pad.model_copy(update={"length_mm": 50.0})})
     kept[0] = kept[0].model_copy(update={"design": stiffer})
-    with pytest.raises(SimulateError, match="press 1 in the folder belongs to another design"):
+    with pytest.raises(SimulateError, match="press 1 in the folder of presses belongs to another design"):
         train_surrogate(design, TrainingSettings(PRESSES), stored=kept.get)
 
 
@@ -336,7 +336,7 @@ def command(
     monkeypatch.setattr(surrogate, "press_to_teach", by_the_law(finger))
     (tmp_path / "finger.toml").write_text(BABY + "radius_mm = 10.0\ndepth_mm = 0.6\n")
     said = succeed(f"simulate teach {tmp_path}/finger.toml --presses 20 --out {tmp_path}/f.surrogate.json")
-    assert "surface: of the presses kept for testing, half have an error of up to" in said
+    assert "surface: with its press left out of the training, half of the samples have an error of up to" in said
     assert "look at" in said
     assert len(list((tmp_path / "f.presses").glob("*.json"))) == 20
     return f"simulate press {tmp_path}/finger.toml --surrogate {tmp_path}/f.surrogate.json --out {tmp_path}"
