@@ -292,8 +292,7 @@ _WHITE: Final = {
 _BANDS: Final = {
     "calibration_rel": "error of a filter's value, common to red, green and blue",
     "response_rel": "error of a channel's response in a filter's band",
-    "stray_light_rel": "light that bypasses the filters, relative to the strongest signal of a filter other than the "
-    "laser's",
+    "stray_light_rel": "light that bypasses the filters, relative to the strongest signal outside the laser's filter",
 }
 
 

@@ -273,7 +273,7 @@ def _emission(paints: Paints) -> Content:
     laser_nm = paints[0].fit.optics.laser.wavelength_nm
     return Content(
         lead=f"What the paint emits at each wavelength for light at {laser_nm:g} nm, per nm of emission, relative to a "
-        "perfect diffuse white. The pointwise band contains the true curve at each single wavelength with 95 % "
+        "perfect diffuse white. The pointwise band contains the paint's curve at each single wavelength with 95 % "
         "probability; the band of the whole curve contains all of it at once, wherever it exceeds 5 % of its peak.",
         remarks=tuple(said.prior_share_statement(paint) for paint in paints),
         picture_rows=_row(paints, _emission_picture),

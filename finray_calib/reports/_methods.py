@@ -201,5 +201,5 @@ def check_methods(guard_factor: float) -> tuple[str, ...]:
     return (
         "Each device was exercised and each quantity compared with the limit that the plan declares. A check passed "
         f"where the value was inside the limit by at least {guard_factor:g} standard uncertainties, failed where it "
-        "was outside by at least as much, and was undecided between (JCGM 106, 2012, guard band for 95 % confidence).",
+        "was outside by at least as much, and was undecided between: a guard band for 95 % (JCGM 106, 2012).",
     )

@@ -711,7 +711,7 @@ CASES = (
     Case(
         "skeleton in GPa",
         MECHANICS,
-        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus, their sum: 0\.007918 MPa .* in GPa: write 7\.918",
+        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus \(the sum\): 0\.007918 MPa .* in GPa: write 7\.918",
         design("[mechanics.skeleton]\nmu_mpa = [0.006279, 0.001639]"),
     ),
     Case(

@@ -360,7 +360,7 @@ def test_a_press_that_may_stand_at_an_unstable_equilibrium_is_warned_of(tmp_path
     (tmp_path / "finger.toml").write_text(BABY + "depth_mm = 0.1\n")
     outcome = finray(f"simulate press {tmp_path}/finger.toml --increments 1 --out {tmp_path}/a.press.json")
     assert outcome.status == 0
-    told = "at a push of 0.1 mm the search could not leave it"
+    told = "at a push of 0.1 mm, the search could not leave it"
     assert f"warning: {told}; press in smaller increments" in outcome.err
     assert told in read_record(tmp_path / "a.mechanics.json", PressMechanics).notes
 

@@ -141,7 +141,7 @@ def test_depths_without_a_circle_are_held_against_what_gels_can_be(tmp_path):
     text = BALLS.split("[contact]")[0] + '[indenter]\nshape = "cuboid"\ndepth_mm = "depth"\nfile = "labels.csv"\n'
     text += 'press = "image"\n'
     assert read(write_lab(tmp_path / "good", columns={"depth": 0.8}), text).captures["p0"].indenter.depth_mm == 0.8
-    with pytest.raises(ImportFormatError, match=r"0\.0008 mm, and 0\.01 to 30 mm are allowed.*columns_in = \"m\""):
+    with pytest.raises(ImportFormatError, match=r"0\.0008 mm, but 0\.01 to 30 mm are allowed.*columns_in = \"m\""):
         read(write_lab(tmp_path / "f", columns={"depth": 0.0008}), text)
 
 

@@ -267,7 +267,9 @@ def test_a_line_that_calls_by_what_all_presses_have_in_common_names_none(tmp_pat
     recipe = recipe_of("{press}/image.png", "rest.png")
     for called in ("image", "image.png"):
         (tmp_path / "labels.csv").write_text(f"file,x,y,r\n{called},80,60,20\n")
-        with pytest.raises(ImportFormatError, match=r"none of its 5 presses .*: no line of labels.csv names it"):
+        with pytest.raises(
+            ImportFormatError, match=r"none of its 5 presses .*: no line of labels.csv names this press"
+        ):
             read_by_recipe(tmp_path, recipe)
     (tmp_path / "labels.csv").write_text("file,x,y,r\n1/image.png,80,60,20\n/elsewhere/2,80,60,20\n")
     assert list(read_by_recipe(tmp_path, recipe).captures) == ["1", "2"]
