@@ -358,7 +358,9 @@ class TactileCapture(Record):
         default=None, description="corners of the contact region where it is not a circle, in order"
     )
     contact_told_by: Literal["label", "search"] | None = Field(
-        default=None, description="search: found in the picture by the program; none: not known"
+        default=None,
+        description="origin of the contact region. label: given with the capture or by the recipe; search: found in "
+        "the picture by the program; none: not known",
     )
     no_contact_from: Literal["image", "median of presses", "pixels far from the contact"] = Field(
         default="image", description="origin of the no-contact image; everything but 'image' is a substitute"

@@ -113,10 +113,10 @@ class ErrorRow(Model):
 
     candidate: Literal["do nothing", "simulation", "floor"]
     skill: Interval = Field(
-        description="1 - squared error relative to that of the no-contact image. The true one is at most 1, but an "
-        "estimate and its interval may lie above it, because noise is subtracted and the remainder scatters "
-        "to both sides. An interval that lies entirely above 1 means that model and noise disagree: the "
-        "remaining error is smaller than the noise explains"
+        description="1 - squared error relative to that of the no-contact image. The true skill is at most 1, but the "
+        "estimate and its interval may exceed 1, because the expected noise is subtracted from the squared error. An "
+        "interval entirely above 1 means that this noise is overestimated: the squared error is smaller than the "
+        "noise alone would give"
     )
     skill_per_channel: tuple[float | None, float | None, float | None] = Field(
         description="None where contact does not change the channel"

@@ -629,7 +629,8 @@ class LearningDataset(Record):
     presses: Annotated[int, Field(ge=1)]
     samples: Annotated[int, Field(ge=1)]
     rest_level_rel: Fraction = Field(
-        description="mean of each channel over the coat without contact, as a share of white"
+        description="mean to which each channel is scaled over the coat without contact, as a share of full scale, in "
+        "linear values"
     )
     split_presses: dict[DatasetSplit, int] = Field(description="presses in each part")
     shards: tuple[DatasetShardRow, ...]

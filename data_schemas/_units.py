@@ -146,7 +146,9 @@ def check_dimensions(record: BaseModel, lists: Mapping[str, str]) -> None:
     for field, name, size in (*lengths, *_array_lengths(record)):
         length, owner = seen.setdefault(name, (size, field))
         if length != size:
-            raise ValueError(f"'{field}' has {size} entries along '{name}', but '{owner}' has {length}")
+            raise ValueError(
+                f"'{field}' has {size} {'entry' if size == 1 else 'entries'} along '{name}', but '{owner}' has {length}"
+            )
 
 
 def _at(record: BaseModel, path: str) -> Any:

@@ -249,7 +249,10 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
     if isinstance(value, dict):
         if _is_reference(value):
             if value["array"] not in arrays:
-                raise RecordError(f"{path}: names the array {value['array']!r}, but the record has no array_file")
+                raise RecordError(
+                    f"{path}: refers to the array {value['array']!r}, but its entry array_file is missing; the record "
+                    "was edited: use the original, or make it again"
+                )
             return arrays[value["array"]]
         return {key: _with_arrays(path, v, arrays) for key, v in value.items()}
     if isinstance(value, list):

@@ -358,8 +358,8 @@ def _with_unseen(found: CheckResult, unseen_rel: float, dark: str, laser: LaserS
     found = found.model_copy(update={"evidence": told})
     if not CLASS_1_NM[0] <= laser.wavelength_nm <= CLASS_1_NM[1]:
         why = (
-            f"finray has no limit of class 1 at {laser.wavelength_nm:g} nm, so it is not known whether such light is "
-            "harmless"
+            f"finray knows the class 1 limit from {CLASS_1_NM[0]:g} to {CLASS_1_NM[1]:g} nm only, not at "
+            f"{laser.wavelength_nm:g} nm, so it cannot tell whether the light that would not be seen is harmless"
         )
         return not_proven(found, why)
     if unseen_mw <= CLASS_1_MW:

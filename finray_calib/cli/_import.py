@@ -263,7 +263,9 @@ def _store(captures: "Sequence[TactileCapture]", files: list[Path], out: Path) -
             write_record(capture, out / f"press-{number:03d}.capture.json", origin, products)
     rows, columns = captures[0].contact.shape[:2]
     encoding, source = captures[0].encoding, captures[0].source
-    wrote(out, f"{len(captures)} captures, {columns} x {rows} px, encoding {encoding}")
+    wrote(
+        out, f"{len(captures)} capture{'' if len(captures) == 1 else 's'}, {columns} x {rows} px, encoding {encoding}"
+    )
     say(f"  {source}")
     give(captures=len(captures), width_px=columns, height_px=rows, encoding=encoding, source=source)
     suggest_command("finray sense teach", out)

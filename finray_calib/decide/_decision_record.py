@@ -442,13 +442,15 @@ def headline(
     if aim == "normal":
         above = above_best(np.array(losses))
         return (
-            f"{angle}: {simulated}the error of the sensed normal is at most {percent(above.max())} above the best at "
-            f"any of the {span_of(contacts)}, and {percent(float(above @ weights))} on average."
+            f"{angle}: {simulated}the error of the sensed normal at each of the {span_of(contacts)} is at most "
+            f"{percent(above.max())} above that at its own best angle, and {percent(float(above @ weights))} on "
+            "average over them."
         )
-    average = float(np.dot(weights, losses))
+    average, span = float(np.dot(weights, losses)), span_of(contacts)
+    touched = f"the touch at each of the {span}" if " places " in span else f"each of the {span}"
     return (
-        f"{angle}: {simulated}the touch is at most {percent(max(losses))} less bright than the best at any of the "
-        f"{span_of(contacts)}, and {percent(average)} on average."
+        f"{angle}: {simulated}{touched} is at most {percent(max(losses))} less bright than at its own best angle, and "
+        f"{percent(average)} on average over them."
     )
 
 

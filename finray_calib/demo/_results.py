@@ -248,9 +248,9 @@ def validation_statement(decision: LightAngleDecision) -> str:
     if not decision.validated or decision.discrepancy_rel is None:
         return decision_validation(decision)
     return (
-        f"The decision includes a sim-to-real error of {percent(decision.discrepancy_rel)} (standard deviation "
-        "of the objective), taken from the comparison with one capture at one light angle; it is assumed "
-        "that this error is the same at other angles."
+        f"The decision includes a sim-to-real error of the objective of {percent(decision.discrepancy_rel)} (one "
+        "standard deviation), taken from the comparison with one capture at one light angle; it is assumed that this "
+        "error is the same at other angles."
     )
 
 

@@ -297,8 +297,8 @@ def _check_darks(images: list[BandImage]) -> None:
         if dark_s and image.exposure_s not in dark_s:
             raise ImportFormatError(
                 f"{image.path}: was exposed for {image.exposure_s:g} s, but the dark frames were exposed for "
-                f"{', '.join(f'{s:g}' for s in sorted(dark_s))} s; add a [[darks]] table of this time, or "
-                "leave all out and give camera.black_level_dn"
+                f"{', '.join(f'{s:g}' for s in sorted(dark_s))} s; add a [[darks]] table of "
+                f"{image.exposure_s:g} s, or remove all [[darks]] tables and give camera.black_level_dn"
             )
 
 

@@ -211,8 +211,8 @@ class RecipeIndenter(Model):
         for name in self.columns_in if isinstance(self.columns_in, dict) else ():
             if name not in columns:
                 raise ValueError(
-                    f"columns_in gives a unit for {name}, which is no column here; allowed are {', '.join(columns)}; "
-                    "numbers of the recipe itself are in mm"
+                    f"columns_in gives a unit for {name}, but [indenter] names no column for it; remove that unit "
+                    f"(columns here: {', '.join(columns)}). A number in place of a column is in mm"
                 )
         if self.extruded_mm is not None and self.shape != "mesh":
             raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {self.shape}; leave it out')

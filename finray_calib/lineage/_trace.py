@@ -363,7 +363,8 @@ def verify_folder(folder: Path) -> FolderCheck:
         bound |= {path.resolve() for path in files_below(listed) if path not in (listed / MANIFEST_NAME, *unlisted)}
     dirty = {part.path for traced in records for part in traced.all() if part.is_dirty}
     if dirty:
-        notes[f"{len(dirty)} records were made by source code that differed from the commit that they name"] = None
+        were, name = ("record was", "it names") if len(dirty) == 1 else ("records were", "they name")
+        notes[f"{len(dirty)} {were} made by source code that differed from the commit that {name}"] = None
     faults |= dict.fromkeys(_missing_checksums(folder))
     notes |= dict.fromkeys(_unbound(folder, bound))
     hashed = sum(path.resolve() in bound for path in _visible(folder))

@@ -330,10 +330,10 @@ def _uncertainty(paint: PaintCalibration, has_budget: bool) -> str:
         "uncertainty of each source (GUM 5.1.2), and the rest comes from the prior."
     )
     assumed = (
-        "A budget by source was not requested. Beside the noise of the frames, the rig file states relative standard "
-        f"uncertainties of {percent(stated.calibration_rel)} for the calibration of each filter, "
-        f"{percent(stated.response_rel)} for each channel's response, and {percent(stated.stray_light_rel)} of the "
-        "brightest filter for stray light."
+        "A budget by source was not requested. Besides the noise of the frames, U includes the relative standard "
+        f"uncertainties of the rig file: {percent(stated.calibration_rel)} for the calibration of each filter, "
+        f"{percent(stated.response_rel)} for each channel's response, and for stray light "
+        f"{percent(stated.stray_light_rel)} of the strongest signal of all filters but the laser's."
     )
     return f"{told} {budget if has_budget else assumed}"
 

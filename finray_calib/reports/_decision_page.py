@@ -111,7 +111,7 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
     most = KeyNumber(
         "Another angle may be better",
         f"by {percent(claim.expected_regret)}",
-        f"expected; at most {percent(claim.regret_95)} with 95 % probability",
+        f"expected {_loss_of(decision)}; at most {percent(claim.regret_95)} with 95 % probability",
         loss,
         reasons[loss],
     )
@@ -125,6 +125,14 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
 
 
 _SURE, _EVEN = 0.95, 0.5
+
+
+def _loss_of(decision: LightAngleDecision) -> str:
+    """Say of what the loss is a share, and over which errors it is expected."""
+    value = "inverse error of the normal" if decision.aim == "normal" else "brightness"
+    where = " at the worst place" if decision.criterion == "worst" else " over all places together"
+    errors = "" if decision.discrepancy_rel is None else ", with the sim-to-real errors"
+    return f"of the {value}{where if len(decision.contacts) > 1 else ''}{errors}"
 
 
 def verdict_sentence(decision: LightAngleDecision) -> str:
@@ -485,8 +493,8 @@ def equivalent_text(statement: AngleStatement) -> str:
 
 
 def _equivalent(statement: AngleStatement) -> str:
-    """Return in words which angles are equivalent."""
-    return f"equivalent: {equivalent_text(statement)}" if statement.equivalent_deg else "no angle is surely equivalent"
+    """Return in words which angles are known to lose no more than the tolerance."""
+    return f"within the tolerance: {equivalent_text(statement) if statement.equivalent_deg else 'no angle'}"
 
 
 def tolerance_text(statement: AngleStatement, angle_deg: float) -> str:
@@ -533,9 +541,10 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     count = len(decision.captures)
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
-        f"{part} of this decision. By the renders alone it would be {decision.angle_simulation_only_deg:.0f} deg, with "
-        f"a loss {_up_to(alone.regret_95)} with 95 % probability ({_equivalent(alone)}); with captures it is "
-        f"{decision.angle_deg:.0f} deg, with a loss of at most {percent(both.regret_95)} ({_equivalent(both)})."
+        f"{part} of this decision. By the renders alone the angle would be {decision.angle_simulation_only_deg:.0f} "
+        f"deg and the loss {_up_to(alone.regret_95)} (95 % probability; {_equivalent(alone)}); with captures the angle "
+        f"is {decision.angle_deg:.0f} deg and the loss {_up_to(both.regret_95)} (95 % probability; "
+        f"{_equivalent(both)})."
     )
 
 
@@ -656,7 +665,7 @@ def limits(decision: LightAngleDecision) -> tuple[str, ...]:
     """Return what the decision rests on."""
     return (
         f"The angle is best for one objective: {decision.objective.rstrip('.')}. {_others_unknown(decision)}".strip(),
-        "It holds for the place and size of the panel and the mirror of the finger named below; if they move, decide "
-        "again.",
+        "The decision holds for the panel and the mirror of the finger named below, at their present place and size; "
+        "if one of these changes, decide again.",
         *(() if (sentence := discrepancy_sentence(decision)) is None else (sentence,)),
     )

@@ -615,7 +615,7 @@ def _printed_shift(axes: Axes, paint: PaintStandIn, height: float) -> None:
     lines = (
         (VERMILLION, f"paper: Stokes shift {shift_nm:.0f} nm"),
         (INK, f"measured: {paint.stokes_shift_nm:.0f} nm"),
-        (INK, f"({low:.0f} to {high:.0f} nm from the ends of the plateau)"),
+        (INK, f"({low:.0f} to {high:.0f} nm if counted from an end of the absorption plateau)"),
     )
     _write(axes, lines)
 

@@ -40,7 +40,7 @@ HEAVIEST_GRAVITY_M_PER_S2: Final = 9.9
 STEPS: Final = len(SECTIONS) + 3
 """Opening, these, closing, opening once more."""
 LEAST_FELT, MOST_FELT = 0.8, 1.25
-"""Share of a known mass's weight that the cell may feel where the stage is to press by it."""
+"""Least and most that the cell may read of a known mass, as a share of its weight; else the stage must not press."""
 
 
 def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> LoadCellCalibration:

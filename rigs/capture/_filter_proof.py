@@ -150,11 +150,13 @@ def _judge_seen(
     unseen = ", ".join(name for name, is_seen in zip(names, seen, strict=True) if not is_seen)
     kept = [name for name, is_seen in zip(names, seen, strict=True) if is_seen]
     if len(kept) < FEWEST_COMMON:
-        text = f"only {len(kept)} filters give a signal on the white tile: {TOO_DIM}"
+        give = "filter gives" if len(kept) == 1 else "filters give"
+        text = f"only {len(kept)} {give} a signal on the white tile: {TOO_DIM}"
         return FilterProof(verdict="cannot tell", text=text)
     proof = judge_filters(kept, measured[seen], predicted[seen], lamp_off, apart)
     verdict = proof.verdict if proof.verdict == "contradicted" else "cannot tell"
-    return FilterProof(verdict=verdict, text=f"{proof.text}; filters {unseen} are too dim to be judged: {TOO_DIM}")
+    dim = f"filter {unseen} is" if len(kept) == len(names) - 1 else f"filters {unseen} are"
+    return FilterProof(verdict=verdict, text=f"{proof.text}; {dim} too dim to be judged: {TOO_DIM}")
 
 
 def signal_floor(
@@ -239,10 +241,9 @@ def compare_with_last(
     seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor
     common = [name for name, is_seen in zip(names, seen, strict=True) if name in before and is_seen]
     if len(common) < FEWEST_COMMON:
-        dim = "" if seen.all() else f" that are bright enough: {TOO_DIM}"
-        return FilterProof(
-            verdict="cannot tell", text=f"the earlier session shares only {len(common)} filters with this one{dim}"
-        )
+        dim = "" if seen.all() else f", of those that are bright enough: {TOO_DIM}"
+        shared = f"only {len(common)} filter{'' if len(common) == 1 else 's'}" if common else "no filter"
+        return FilterProof(verdict="cannot tell", text=f"the earlier session shares {shared} with this one{dim}")
     now, then = measured[[list(names).index(name) for name in common]], np.array([before[name] for name in common])
     bright = (_share_of_brightest(now) > TRUSTED_FRACTION) | (_share_of_brightest(then) > TRUSTED_FRACTION)
     apart = _levels(now) - _levels(then)

@@ -347,12 +347,12 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
     counted = [f"{name} {number}" for name, number in times.items()]
     retaken = sum(line["event"] == "refused" for line in lines)
     lost = sum(line["event"] == "light lost" for line in lines)
-    said = [f"{times.total()} messages to devices were repeated ({', '.join(counted)})"] if faults else []
-    said += [f"{retaken} frames were taken again"] if retaken else []
+    said = [f"{_were(times.total(), 'message', ' to devices')} repeated ({', '.join(counted)})"] if faults else []
+    said += [f"{_were(retaken, 'frame')} taken again"] if retaken else []
     said += [f"a light went off or stopped answering, number of times: {lost}"] if lost else []
     aside = sum(int(line["frames"]) for line in lines if line["event"] == "set aside")
-    repaired = f"{aside} frames from before a repair were set aside and taken again; {JOURNAL_NAME} gives the reason"
-    notes = (repaired,) if aside else ()
+    repaired = f"{_were(aside, 'frame', ' from before a repair')} set aside and taken again"
+    notes = (f"{repaired}; {JOURNAL_NAME} gives the reason",) if aside else ()
     if not said:
         return notes
     spent_s = sum(float(line["spent_s"]) for line in faults)
@@ -360,6 +360,11 @@ def fault_notes(folder: Path) -> tuple[str, ...]:
         *notes,
         f"faults that did not stop the session: {', '.join(said)}; {JOURNAL_NAME} lists them ({spent_s:.1f} s lost)",
     )
+
+
+def _were(number: int, noun: str, which: str = "") -> str:
+    """Return how many things, and the verb that follows."""
+    return f"{number} {noun}{which} was" if number == 1 else f"{number} {noun}s{which} were"
 
 
 def disk_hangs(path: Path, session: Path) -> CaptureError:

@@ -342,8 +342,9 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
     """Return what the user of a resumed session should know."""
     if interrupted is None:
         return ()
+    count = len(interrupted.frames)
     return (
-        f"interrupted after {len(interrupted.frames)} frames and resumed: lamp, laser and temperature may "
+        f"interrupted after {count} frame{'' if count == 1 else 's'} and resumed: lamp, laser and temperature may "
         "have changed meanwhile, and the laser dose does not include the light between the last stored frame "
         "and the interruption",
     )

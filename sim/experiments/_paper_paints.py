@@ -445,8 +445,8 @@ def reproduce_paper_paints(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise SimulateError(
-            f"paper paints: material {twice[0]} is given twice; give each file once, for one colour, and materials "
-            "different file names"
+            f"paper paints: material {twice[0]} is given twice; give each file once, for one colour, and "
+            "rename files of different materials that share a name"
         )
     paints = (*(measure_stand_in(m, "red", rng) for m in red), *(measure_stand_in(m, "green", rng) for m in green))
     return PaperPaints(laser_nm=LASER_NM, stand_ins=paints, statements=paper_statements(paints), caveat=CAVEAT)

@@ -103,10 +103,11 @@ def skeleton_layout(design: FingerDesign) -> SkeletonLayout:
     tip_line = _tip_line(design, mirror, inner)
     rib_inner = mirror.half_width_mm + _MIRROR_CLEARANCE_MM
     half_width = rib_inner + skeleton.rib_width_mm if skeleton.width_mm is None else skeleton.width_mm / 2.0
-    if pad.width_mm / 2.0 + skeleton.flange_mm > half_width or skeleton.flange_mm > -base_line[0]:
+    margin = min(half_width - pad.width_mm / 2.0, -base_line[0])
+    if skeleton.flange_mm > margin:
         raise SimulateError(
-            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, which has "
-            f"{min(half_width - pad.width_mm / 2.0, -base_line[0]):.3g} mm around the pad; make it smaller"
+            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, whose narrowest margin "
+            f"beside and below the pad is {margin:.3g} mm; make flange_mm at most {np.floor(100.0 * margin) / 100.0:g}"
         )
     if half_width - skeleton.rib_width_mm < rib_inner - 1e-9:
         raise SimulateError(

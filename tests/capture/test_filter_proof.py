@@ -179,7 +179,7 @@ def test_earlier_session_of_other_filters_leaves_the_verdict(
     assert now.filter_proof is not None
     assert session.filter_proof is not None
     assert now.filter_proof.verdict == session.filter_proof.verdict
-    assert now.filter_proof.text.endswith("the earlier session shares only 0 filters with this one")
+    assert now.filter_proof.text.endswith("the earlier session shares no filter with this one")
 
 
 def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan, captured, tmp_path: Path) -> None:
@@ -282,7 +282,7 @@ def test_dim_filters_are_not_judged_and_named() -> None:
     dim[2:] = 100.0
     proof = judge_filters(NAMES, dim, predicted, floor=floor)
     assert proof.verdict == "cannot tell"
-    assert "only 1 filters give a signal" in proof.text
+    assert "only 1 filter gives a signal" in proof.text
 
 
 def test_floor_is_two_per_cent_of_full_scale_and_five_uncertainties() -> None:

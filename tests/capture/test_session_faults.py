@@ -580,7 +580,7 @@ def test_faults_are_noted_and_told_at_the_end(rig: RigFile, small: PaintPlan, tm
     assert len(faults) == wheel.moves
     assert session.notes[-1] == (
         f"faults that did not stop the session: {wheel.moves} messages to devices were repeated "
-        f"(filter wheel at /dev/ttyUSB0 {wheel.moves}), 1 frames were taken again; "
+        f"(filter wheel at /dev/ttyUSB0 {wheel.moves}), 1 frame was taken again; "
         f"journal.jsonl lists them ({1.25 * wheel.moves:.1f} s lost)"
     )
 

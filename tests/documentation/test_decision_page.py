@@ -47,13 +47,14 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "Mount the light at 32 deg",
         "32 deg: true optimum within 5 deg with probability 0.71",
         "None better by more than 2 % 0.97 probability \u2713 good : a decision needs 0.95",
-        "Another angle may be better by 0.3 % expected; at most 1.4 % with 95 % probability",
+        "Another angle may be better by 0.3 % expected of the brightness, with the sim-to-real errors; at most 1.4 % "
+        "with 95 % probability",
         "0 deg along the pad towards the tip, 90 deg straight into it",
         "On the drawing: 32 deg, -7 / +7 deg. At each angle inside this tolerance at most 2 % of the signal is lost",
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
         "1.4 %",
         "The objectives disagree: surface normal is best at 62 deg and loses 21 % here",
-        "One capture is part of this decision. By the renders alone it would be 32 deg, with a loss below 0.4 %",
+        "One capture is part of this decision. By the renders alone the angle would be 32 deg and the loss below 0.4 %",
     ):
         assert text in start
     # first what to do, then the finger with its light, then why
@@ -138,7 +139,9 @@ def test_what_to_do_next_does_not_contradict_the_verdict():
 def test_losses_that_are_equal_to_no_angle_are_said_in_words():
     claim = DECISION.statement.model_copy(update={"equivalent_deg": ()})
     said = words.capture_sentence(DECISION.model_copy(update={"statement": claim}))
-    assert said.endswith("with captures it is 32 deg, with a loss of at most 1.4 % (no angle is surely equivalent).")
+    assert said.endswith(
+        "with captures the angle is 32 deg and the loss below 1.4 % (95 % probability; within the tolerance: no angle)."
+    )
 
 
 def test_the_end_of_a_sweep_is_never_green():

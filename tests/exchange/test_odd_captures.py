@@ -133,7 +133,10 @@ def test_depth_and_diameter_may_be_in_different_units(tmp_path):
         read(folder, text)
     pose = read(folder, f'{text}columns_in = {{ depth_mm = "m" }}\n').captures["p0"].indenter
     assert (pose.depth_mm, pose.radius_mm) == pytest.approx((0.45, 4.6))
-    with pytest.raises(ValueError, match="unit for position_mm, which is no column here; allowed are diameter"):
+    with pytest.raises(
+        ValueError,
+        match=r"unit for position_mm, but \[indenter\] names no column for it; remove that unit \(columns here: dia",
+    ):
         read(folder, f'{text}columns_in = {{ position_mm = "m" }}\n')
 
 

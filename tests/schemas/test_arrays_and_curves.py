@@ -48,12 +48,12 @@ def test_lengths_along_one_dimension_agree():
         values: Annotated[NDArray[np.float64], ArraySpec("<f8", ("row", "3"), "DN")]
         inner: Table | None = None
 
-    with pytest.raises(FieldError, match="'counts' has 1 entries along 'row', but 'values' has 2"):
+    with pytest.raises(FieldError, match="'counts' has 1 entry along 'row', but 'values' has 2"):
         Table(values=np.ones((2, 3)))
     assert Listed(names=("a", "b"), values=np.ones((2, 3))).inner is None
     with pytest.raises(FieldError, match="'values' has 2 entries along 'row', but 'names' has 1"):
         Listed(names=("a",), values=np.ones((2, 3)))
-    with pytest.raises(FieldError, match=r"'inner\.counts' has 1 entries along 'row', but 'names' has 2"):
+    with pytest.raises(FieldError, match=r"'inner\.counts' has 1 entry along 'row', but 'names' has 2"):
         Listed(names=("a", "b"), values=np.ones((2, 3)), inner=Table(values=np.ones((1, 3))))
 
 

@@ -398,7 +398,10 @@ def test_impossible_numbers_are_refused_in_the_design(build, message):
         (with_skeleton(rib_spacing_mm=20.0), "the base and rib 1 of the skeleton overlap"),
         (with_skeleton(rib_spacing_mm=13.5, rib_angle_deg=60.0), "rib 6 and the tip"),
         (with_skeleton(width_mm=42.0), "width_mm = 42 mm is too narrow: .* at least 44 mm"),
-        (with_skeleton(flange_mm=5.0), "flange_mm = 5 mm reaches beyond the front fin"),
+        (
+            with_skeleton(flange_mm=5.0),
+            "flange_mm = 5 mm reaches beyond the front fin, .* is 3 mm; make flange_mm at most 3",
+        ),
         (with_skeleton(tip_starts_mm=70.5), "tip_starts_mm = 70.5 mm must lie above the end of the pad"),
         (with_skeleton(front_fin_thickness_mm=6.0), "apart at the tip"),
     ],

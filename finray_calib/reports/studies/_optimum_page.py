@@ -200,7 +200,8 @@ def _found(optimum: DesignOptimum) -> Iterator[str]:
             )
     failed = [row for row in optimum.designs if row.failure]
     if failed:
-        yield f"{len(failed)} designs could not be evaluated; the first: {failed[0].failure}"
+        first = "design could not be evaluated" if len(failed) == 1 else "designs could not be evaluated; the first"
+        yield f"{len(failed)} {first}: {failed[0].failure}"
     for name, error in optimum.unexplained_rel.items():
         if error > _POOR:
             yield f"The emulator of {name} explains little (error at left-out designs {error:.2f} of their spread)."
