@@ -664,9 +664,7 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
             what = "check the focus, or add the blur of lens and gel to the simulation"
             return f"the capture is blurred by {sigma:.2g} px beyond the simulation: {what}"
         return f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
-    change, bulge = ("stronger", "more") if first > 0.0 else ("weaker", "less")
     return (
-        f"the change around the contact is {share} {change} than simulated: the gel bulges {bulge} there; if the press "
-        "was simulated as a rigid shape or from a table of other presses, simulate it by finite elements; otherwise "
-        "check the thickness and the compressibility of the gel"
+        f"the change around the contact is {share} {'stronger' if first > 0.0 else 'weaker'} than simulated: the gel "
+        "bulges there; use finite elements, not a rigid shape or a table of other presses; with them, check the gel"
     )

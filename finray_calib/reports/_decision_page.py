@@ -541,10 +541,9 @@ def capture_sentence(decision: LightAngleDecision) -> str:
     count = len(decision.captures)
     part = "One capture is part" if count == 1 else f"{count} captures are part"
     return (
-        f"{part} of this decision. By the renders alone the angle would be {decision.angle_simulation_only_deg:.0f} "
-        f"deg and the loss {_up_to(alone.regret_95)} (95 % probability; {_equivalent(alone)}); with captures the angle "
-        f"is {decision.angle_deg:.0f} deg and the loss {_up_to(both.regret_95)} (95 % probability; "
-        f"{_equivalent(both)})."
+        f"{part} of this decision. By renders alone the angle would be {decision.angle_simulation_only_deg:.0f} deg "
+        f"and the loss {_up_to(alone.regret_95)} (95 % probability; {_equivalent(alone)}); with captures the angle is "
+        f"{decision.angle_deg:.0f} deg and the loss {_up_to(both.regret_95)} (95 % probability; {_equivalent(both)})."
     )
 
 

@@ -236,10 +236,9 @@ class InterruptedPresses:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user of the resumed session should know."""
-        count = len(self.frames)
         return (
-            f"interrupted after {count} frame{'' if count == 1 else 's'} and resumed: the light and the gel may have "
-            "changed between the contact before the interruption and the image of no contact after it",
+            f"interrupted after {len(self.frames)} frame{'' if len(self.frames) == 1 else 's'} and resumed: light and gel "
+            "may have changed between the contact before the interruption and the image of no contact after it",
         )
 
 

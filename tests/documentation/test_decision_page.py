@@ -54,7 +54,7 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "
         "1.4 %",
         "The objectives disagree: surface normal is best at 62 deg and loses 21 % here",
-        "One capture is part of this decision. By the renders alone the angle would be 32 deg and the loss below 0.4 %",
+        "One capture is part of this decision. By renders alone the angle would be 32 deg and the loss below 0.4 %",
     ):
         assert text in start
     # first what to do, then the finger with its light, then why
