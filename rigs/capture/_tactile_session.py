@@ -237,8 +237,8 @@ class InterruptedPresses:
     def notes(self) -> tuple[str, ...]:
         """What the user of the resumed session should know."""
         return (
-            f"interrupted after {len(self.frames)} frame{'' if len(self.frames) == 1 else 's'} and resumed: light and gel "
-            "may have changed between the contact before the interruption and the image of no contact after it",
+            f"interrupted after {len(self.frames)} frame{'' if len(self.frames) == 1 else 's'} and resumed: light and "
+            "gel may have changed between the contact before the interruption and the image of no contact after it",
         )
 
 
