@@ -43,7 +43,7 @@ GOOD = ("converged", "refused before the solve")
 LEAST_GOOD, MOST_REFUSED = 0.99, 0.05
 
 
-def random_design(seed: int, folder: Path = Path()) -> FingerDesign:
+def random_design(seed: int, folder: Path) -> FingerDesign:
     """Return a finger and an indenter, of every number of its mechanics that a user may change.
 
     Each part is changed with a chance of its own, in the neighbourhood of the ready-made fingers or, where a material

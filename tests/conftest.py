@@ -17,11 +17,20 @@ def shared_data() -> Path:
     return SHARED_DATA
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Take Ctrl-C as a terminal's processes do: a job in the background inherits, and passes on, that it is ignored."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    _keep_to_one_core()
+    if config.getoption("markexpr") != "rigs":  # those wait for devices, and most of their work is other programs'
+        _keep_to_one_core()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep tests that start the programs of devices on one worker: some of these programs have a fixed port."""
+    for item in items:
+        if item.get_closest_marker("rigs") and not item.get_closest_marker("xdist_group"):
+            with_devices = {"capture", "command_line"} & set(item.path.parts)
+            item.add_marker(pytest.mark.xdist_group("devices" if with_devices else "other programs"))
 
 
 def _keep_to_one_core() -> None:

@@ -231,11 +231,11 @@ def test_no_rib_of_a_ready_made_finger_is_made_of_wedges(name, preset):
     assert wedge(preset_design(name), preset) <= 0.12
 
 
-def test_no_rib_of_a_random_finger_is_made_of_wedges():
+def test_no_rib_of_a_random_finger_is_made_of_wedges(tmp_path):
     fingers = 0
     for seed in range(100):
         try:
-            found = wedge(random_design(seed))
+            found = wedge(random_design(seed, tmp_path))
         except SimulateError:  # parts that do not fit together
             continue
         assert found <= 0.12, seed
