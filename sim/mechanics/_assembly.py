@@ -239,9 +239,10 @@ class Elasticity:
         """Return energies (k,), steps (k, 3, 3) of the modes alone, and by how much these steps may lower them."""
         found = []
         for part in np.array_split(np.arange(len(elements)), max(1, len(elements) // _TOGETHER)):
-            none = np.zeros(self._volume_strain[block][elements[part]].shape[:2])
-            strain = self._some(block, u, elements[part], modes[part], none, 0)[3]
-            held = self._moduli[block][0] * strain[..., 1]
+            held = np.zeros(self._volume_strain[block][elements[part]].shape[:2])
+            if held.shape[1]:
+                strain = self._some(block, u, elements[part], modes[part], held, 0)[3]
+                held = self._moduli[block][0] * strain[..., 1]
             energy, solved, force, _ = self._some(block, u, elements[part], modes[part], held, 1)
             found.append((energy, -solved[:, :, 24].reshape(-1, 3, 3), 0.5 * (force * solved[:, :, 24]).sum(axis=1)))
         energies, steps, gains = (np.concatenate(columns) for columns in zip(*found, strict=True))
