@@ -239,8 +239,8 @@ class Elasticity:
         """Return energies (k,), steps (k, 3, 3) of the modes alone, and by how much these steps may lower them."""
         found = []
         for part in np.array_split(np.arange(len(elements)), max(1, len(elements) // _TOGETHER)):
-            held = np.zeros(self._volume_strain[block][elements[part]].shape[:2])
-            if held.shape[1]:
+            held = np.zeros((len(part), self._volume_strain[block].shape[1]))
+            if held.size:
                 strain = self._some(block, u, elements[part], modes[part], held, 0)[3]
                 held = self._moduli[block][0] * strain[..., 1]
             energy, solved, force, _ = self._some(block, u, elements[part], modes[part], held, 1)
