@@ -1,14 +1,13 @@
 """What is in equilibrium: the elastic mesh and further energies, assembled into one gradient and one sparse matrix.
 
-Incompatible modes are eliminated in each element. The pattern of the symmetric matrix is fixed: nodal 3 x 3 blocks of
-its upper triangle (CSR), to which compiled loops add values.
+Incompatible modes are eliminated in each element.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,194 +15,12 @@ from numpy.typing import NDArray
 
 from data_schemas import SimulateError
 from sim.mechanics._element_kernels import OGDEN, ST_VENANT_KIRCHHOFF, compiled, many_hexahedra, many_stretches
+from sim.mechanics._linear_solver import UpperBlocks
 from sim.mechanics._materials import Material, PackagedMaterial
 from sim.mechanics._mesh import Block, FingerMesh
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-class UpperBlocks:
-    """Upper triangle of a symmetric matrix of (3 n, 3 n) whose rows belong to n nodes.
-
-    The pattern is fixed, so that a factorisation's symbolic phase can be used again; :meth:`add_sparse` widens it
-    where a term needs more, and counts that in `version`.
-
-    Parameters
-    ----------
-    count
-        Number of nodes n.
-    cells
-        Arrays (m, k) of nodes that are coupled with each other.
-    """
-
-    def __init__(self, count: int, cells: Iterable[IntArray]) -> None:
-        self.count = count
-        self.version = 0
-        self._keys = np.unique(np.concatenate([np.empty(0, np.int64), *(_pair_keys(c, count) for c in cells)]))
-        self._lay_out()
-
-    def _lay_out(self) -> None:
-        row, neighbour = np.divmod(self._keys, self.count)
-        neighbours = np.bincount(row, minlength=self.count)
-        self._first = np.concatenate([[0], np.cumsum(neighbours)])
-        lengths = (3 * neighbours[:, None] + 3 - np.arange(3)).ravel()
-        self.indptr = np.concatenate([[0], np.cumsum(lengths)])
-        self.indices = np.empty(self.indptr[-1], np.int32)
-        _fill_indices(self._first, neighbour, self.indptr, self.indices)
-        self.values = np.zeros(len(self.indices))
-
-    def slots(self, cells: IntArray) -> NDArray[np.int32]:
-        """Return where the 3 x 3 blocks a <= b of cells (m, k) start in their rows, shape (m, k (k + 1) / 2)."""
-        a, b = np.triu_indices(cells.shape[1])
-        low, high = np.minimum(cells[:, a], cells[:, b]), np.maximum(cells[:, a], cells[:, b])
-        place = np.searchsorted(self._keys, (low * self.count + high).ravel()).reshape(low.shape)
-        return np.asarray(np.where(low == high, 0, 3 + 3 * (place - self._first[low])), dtype=np.int32)
-
-    def clear(self) -> None:
-        """Set all values to zero."""
-        self.values[:] = 0.0
-
-    def add_cells(self, cells: IntArray, slots: NDArray[np.int32], blocks: FloatArray) -> None:
-        """Add symmetric matrices (m, 3 k, 3 k) of cells (m, k) at slots of :meth:`slots`."""
-        _add_cells(cells, slots, blocks, self.indptr, self.values)
-
-    def add_sparse(self, matrix: sp.coo_array | sp.csr_array) -> None:
-        """Add a symmetric sparse matrix (3 n, 3 n), of which the upper triangle is read."""
-        entries = matrix.tocoo()
-        upper = entries.row <= entries.col
-        row, col, value = entries.row[upper].astype(np.int64), entries.col[upper].astype(np.int64), entries.data[upper]
-        if _add_entries(row, col, value, self.indptr, self.indices, self.values, False):
-            self._widen(row // 3, col // 3)
-        _add_entries(row, col, value, self.indptr, self.indices, self.values, True)
-
-    def _widen(self, row: IntArray, col: IntArray) -> None:
-        before = self.upper()
-        new = np.minimum(row, col) * self.count + np.maximum(row, col)
-        self._keys = np.union1d(self._keys, new[row != col])
-        self._lay_out()
-        self.version += 1
-        entries = before.tocoo()
-        rows, cols = entries.row.astype(np.int64), entries.col.astype(np.int64)
-        _add_entries(rows, cols, entries.data, self.indptr, self.indices, self.values, True)
-
-    def upper(self) -> sp.csr_array:
-        """Return the upper triangle; it shares its values with this object."""
-        size = 3 * self.count
-        matrix = sp.csr_array((self.values, self.indices, self.indptr.astype(np.int32)), shape=(size, size))
-        matrix.has_sorted_indices = True
-        return matrix
-
-    def times(self, vector: FloatArray) -> FloatArray:
-        """Return the whole symmetric matrix times a vector (3 n,), in double precision whatever the vector's."""
-        taken = np.ascontiguousarray(vector, np.float64)
-        out = np.zeros_like(taken)
-        _add_product(self.indptr, self.indices, self.values, taken, out)
-        return out
-
-    def constrain(self, fixed: NDArray[np.bool_]) -> None:
-        """Replace rows and columns of fixed unknowns (3 n,) by those of the unit matrix, in place."""
-        _constrain(fixed, self.indptr, self.indices, self.values)
-
-
-def _pair_keys(cells: IntArray, count: int) -> IntArray:
-    """Return the distinct pairs low * count + high, low < high, of nodes of the same cell."""
-    a, b = np.triu_indices(cells.shape[1], 1)
-    low, high = np.minimum(cells[:, a], cells[:, b]), np.maximum(cells[:, a], cells[:, b])
-    return np.unique((low * count + high)[low != high])
-
-
-@compiled
-def _fill_indices(first: IntArray, neighbour: IntArray, indptr: IntArray, indices: NDArray[np.int32]) -> None:
-    for n in range(len(first) - 1):
-        for i in range(3):
-            p = indptr[3 * n + i]
-            for k in range(i, 3):
-                indices[p] = 3 * n + k
-                p += 1
-            for t in range(first[n], first[n + 1]):
-                for k in range(3):
-                    indices[p] = 3 * neighbour[t] + k
-                    p += 1
-
-
-@compiled
-def _add_cells(
-    cells: IntArray, slots: NDArray[np.int32], blocks: FloatArray, indptr: IntArray, values: FloatArray
-) -> None:
-    size = cells.shape[1]
-    for e in range(len(cells)):
-        slot = 0
-        for a in range(size):
-            for b in range(a, size):
-                low, high, turned = cells[e, a], cells[e, b], cells[e, a] > cells[e, b]
-                if turned:
-                    low, high = high, low
-                start = slots[e, slot]
-                slot += 1
-                for i in range(3):
-                    p = indptr[3 * low + i] + start - i
-                    for k in range(i if low == high else 0, 3):
-                        values[p + k] += blocks[e, 3 * a + k, 3 * b + i] if turned else blocks[e, 3 * a + i, 3 * b + k]
-
-
-@compiled
-def add_forces(cells: IntArray, forces: FloatArray, out: FloatArray) -> None:
-    """Add forces (m, 3 k) of cells (m, k) to those of the nodes (n, 3)."""
-    for e in range(len(cells)):
-        for a in range(cells.shape[1]):
-            for i in range(3):
-                out[cells[e, a], i] += forces[e, 3 * a + i]
-
-
-@compiled
-def _add_entries(
-    row: IntArray,
-    col: IntArray,
-    value: FloatArray,
-    indptr: IntArray,
-    indices: NDArray[np.int32],
-    values: FloatArray,
-    write: bool,
-) -> int:
-    """Add entries that the pattern holds; return how many it does not hold."""
-    missing = 0
-    for e in range(len(row)):
-        low, high = indptr[row[e]], indptr[row[e] + 1]
-        end = high
-        while low < high:
-            middle = (low + high) // 2
-            if indices[middle] < col[e]:
-                low = middle + 1
-            else:
-                high = middle
-        if low == end or indices[low] != col[e]:
-            missing += 1
-        elif write:
-            values[low] += value[e]
-    return missing
-
-
-@compiled
-def _add_product(
-    indptr: IntArray, indices: NDArray[np.int32], values: FloatArray, vector: FloatArray, out: FloatArray
-) -> None:
-    """Add a symmetric matrix, given by rows of its upper triangle that begin with the diagonal, times a vector."""
-    for r in range(len(vector)):
-        begin, own = indptr[r], vector[r]
-        total = values[begin] * own
-        for p in range(begin + 1, indptr[r + 1]):
-            total += values[p] * vector[indices[p]]
-            out[indices[p]] += values[p] * own
-        out[r] += total
-
-
-@compiled
-def _constrain(fixed: NDArray[np.bool_], indptr: IntArray, indices: NDArray[np.int32], values: FloatArray) -> None:
-    for r in range(len(fixed)):
-        for p in range(indptr[r], indptr[r + 1]):
-            if fixed[r] or fixed[indices[p]]:
-                values[p] = 1.0 if indices[p] == r else 0.0
 
 
 Modes = tuple[FloatArray, ...]
@@ -224,6 +41,15 @@ class ElementMatrices:
     elements: slice
     force: FloatArray
     tangent: FloatArray
+
+
+@compiled
+def add_forces(cells: IntArray, forces: FloatArray, out: FloatArray) -> None:
+    """Add forces (m, 3 k) of cells (m, k) to those of the nodes (n, 3)."""
+    for e in range(len(cells)):
+        for a in range(cells.shape[1]):
+            for i in range(3):
+                out[cells[e, a], i] += forces[e, 3 * a + i]
 
 
 class Elasticity:
@@ -290,8 +116,9 @@ class Elasticity:
         ]
         self._volume_strain = [np.zeros((len(c), p, 2)) for c, p in zip(self.cells, held, strict=True)]
         self.element_mm = _median_edge_mm(self._nodes, self.cells)
-        # displacements and modes that the energies belong to
+        # displacements and modes that the energies belong to, and whether exact tangents were evaluated there
         self._evaluated: tuple[FloatArray, ...] = ()
+        self._has_tangents = False
         self.no_modes: Modes = tuple(np.zeros((len(c), m, 3)) for c, m in zip(self.cells, mode_counts, strict=True))
 
     def energy(self, u: FloatArray, modes: Modes) -> float:
@@ -300,6 +127,10 @@ class Elasticity:
             for _ in self._evaluate(u, modes, self.no_pressure, 0):
                 pass
         return math.fsum(float(e.sum()) for e in self._energies)
+
+    def has_tangents(self, u: FloatArray, modes: Modes) -> bool:
+        """Whether the last evaluation was that of the exact :meth:`matrices` of this state."""
+        return self._has_tangents and self._is_evaluated(u, modes)
 
     def _is_evaluated(self, u: FloatArray, modes: Modes) -> bool:
         """Whether the energies of the last evaluation, of whatever level, are those of this state."""
@@ -408,9 +239,10 @@ class Elasticity:
         """Return energies (k,), steps (k, 3, 3) of the modes alone, and by how much these steps may lower them."""
         found = []
         for part in np.array_split(np.arange(len(elements)), max(1, len(elements) // _TOGETHER)):
-            none = np.zeros(self._volume_strain[block][elements[part]].shape[:2])
-            strain = self._some(block, u, elements[part], modes[part], none, 0)[3]
-            held = self._moduli[block][0] * strain[..., 1]
+            held = np.zeros((len(part), self._volume_strain[block].shape[1]))
+            if held.size:
+                strain = self._some(block, u, elements[part], modes[part], held, 0)[3]
+                held = self._moduli[block][0] * strain[..., 1]
             energy, solved, force, _ = self._some(block, u, elements[part], modes[part], held, 1)
             found.append((energy, -solved[:, :, 24].reshape(-1, 3, 3), 0.5 * (force * solved[:, :, 24]).sum(axis=1)))
         energies, steps, gains = (np.concatenate(columns) for columns in zip(*found, strict=True))
@@ -466,6 +298,7 @@ class Elasticity:
                 for first in range(0, len(jobs), self._threads):
                     yield from pool.map(evaluate, range(first, min(first + self._threads, len(jobs))))
         self._evaluated = (displacement.copy(), *(m.copy() for m in modes))
+        self._has_tangents = level > 0 and kept == 1.0
 
     def _evaluate_part(
         self, u: FloatArray, modes: FloatArray, held: FloatArray, level: int, kept: float, out: ElementMatrices
@@ -590,6 +423,25 @@ class State:
         return State(self.u_mm, self.modes, tuple(p + share * (q - p) for p, q in pairs))
 
 
+_SAME_PRESSURE_REL = 1e-3  # of the greatest; an equilibrium's own pressures miss the last step's by its square
+
+
+class _Kept(NamedTuple):
+    """The last exact tangents of the elements, as values of the matrix of a version, and their gradient (n, 3)."""
+
+    version: int
+    pressures_mpa: Pressures
+    tangents: FloatArray
+    gradient: FloatArray
+
+    def is_of(self, state: State, version: int) -> bool:
+        """Whether the pressures of a state are these and a matrix has these places."""
+        if version != self.version or len(self.pressures_mpa) != len(state.pressures_mpa):
+            return False
+        pairs = zip(self.pressures_mpa, state.pressures_mpa, strict=True)
+        return all(np.abs(p - q).max(initial=0.0) <= _SAME_PRESSURE_REL * np.abs(p).max(initial=0.0) for p, q in pairs)
+
+
 class Assembly:
     """Elastic mesh and further terms, whose sum of energies is to be least.
 
@@ -607,6 +459,7 @@ class Assembly:
         self.count = elasticity.count
         self.matrix = UpperBlocks(self.count, elasticity.cells)
         self._slots_of(self.matrix.version)
+        self._kept = _Kept(-1, (), np.empty(0), np.empty((0, 3)))
 
     def _slots_of(self, version: int) -> None:
         self._version = version
@@ -635,6 +488,23 @@ class Assembly:
         The tangent does without `removed_share` of each point's negative curvature; where that is above 0, terms do
         without all of theirs.
         """
+        gradient = self._of_elements(state, removed_share)
+        of_terms = np.zeros((self.count, 3))
+        for term in self.terms:
+            of_terms += term.gradient(state.u_mm)
+            self.matrix.add_sparse(term.hessian(state.u_mm, removed_share > 0.0))
+        return gradient + of_terms, of_terms
+
+    def _of_elements(self, state: State, removed_share: float) -> FloatArray:
+        """Fill the matrix by the elements alone and return their gradient (n, 3), from before where only terms changed.
+
+        Terms do so where they renew what they have lagged. The tangent may then weigh curvature by pressures that the
+        equilibrium's own have replaced since: Newton's method takes that.
+        """
+        kept, exact = self._kept, removed_share == 0.0
+        if exact and kept.is_of(state, self.matrix.version) and self.elasticity.has_tangents(state.u_mm, state.modes):
+            self.matrix.values[:] = kept.tangents
+            return kept.gradient.copy()
         if self._version != self.matrix.version:
             self._slots_of(self.matrix.version)
         self.matrix.clear()
@@ -643,11 +513,9 @@ class Assembly:
             cells = self.elasticity.cells[part.block][part.elements]
             self.matrix.add_cells(cells, self._slots[part.block][part.elements], part.tangent)
             add_forces(cells, part.force, gradient)
-        of_terms = np.zeros((self.count, 3))
-        for term in self.terms:
-            of_terms += term.gradient(state.u_mm)
-            self.matrix.add_sparse(term.hessian(state.u_mm, removed_share > 0.0))
-        return gradient + of_terms, of_terms
+        if exact:
+            self._kept = _Kept(self.matrix.version, state.pressures_mpa, self.matrix.values.copy(), gradient.copy())
+        return gradient
 
     def max_step(self, state: State, du: FloatArray) -> float:
         """Return the largest share of the step du (n, 3) that all terms allow."""

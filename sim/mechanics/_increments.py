@@ -258,7 +258,7 @@ class _Search:
                 if options is final:
                     return reached
                 options = final
-            further = self._from(reached.state, supports, options)
+            further = find_equilibrium(self.assembly, reached.state, supports, self.solver, options, reached)
             reached = replace(further, iterations=reached.iterations + further.iterations)
         return replace(reached, failure=f"friction and push have not settled in {_MOST_ROUNDS} rounds")
 

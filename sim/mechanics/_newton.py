@@ -131,6 +131,9 @@ class Equilibrium:
         Newton steps that were solved for.
     unstable
         That it is no least energy and could not be left; empty where the tangent is positive definite, or not tested.
+    factors, definite_within_mm
+        Version of the matrix' pattern whose exact factors the solver holds, -1: none, and how far from here, at most,
+        the exact tangent was found positive definite. A search that goes on from here begins with them.
     """
 
     state: State
@@ -140,12 +143,21 @@ class Equilibrium:
     failure: str = ""
     iterations: int = 0
     unstable: str = ""
+    factors: int = -1
+    definite_within_mm: float = math.inf
 
 
 class _Search:
     """One search for an equilibrium."""
 
-    def __init__(self, assembly: Assembly, supports: Supports, solver: SymmetricSolver, options: NewtonOptions) -> None:
+    def __init__(
+        self,
+        assembly: Assembly,
+        supports: Supports,
+        solver: SymmetricSolver,
+        options: NewtonOptions,
+        after: Equilibrium | None = None,
+    ) -> None:
         self.assembly, self.supports, self.solver, self.options = assembly, supports, solver, options
         self.residuals: list[float] = []
         self.removals: list[float] = []  # of the tangents that belong to them
@@ -155,8 +167,11 @@ class _Search:
         self.taken = 1.0  # of the last step, the share of what the terms allowed
         self.bar_n = 0.0  # what the residual must reach
         self.removed = 0.0  # of each point's negative curvature, the share that the tangent at hand does without
-        self.factors = -1  # version of the pattern whose factors the solver holds
-        self.definite_within_mm = math.inf  # way from where the exact tangent was last found positive definite
+        self.goes_on = after is not None
+        # version of the pattern whose factors the solver holds
+        self.factors = -1 if after is None else after.factors
+        # way from where the exact tangent was last found positive definite
+        self.definite_within_mm = math.inf if after is None else after.definite_within_mm
         self.saddles, self.since = 0, 0  # that were left, and what was solved for until the last of them
         self.unstable = ""
         self._least_damping = 0.0  # below which damping ends
@@ -238,7 +253,8 @@ class _Search:
                 self.damping_n_per_mm *= _STIFFER
 
     def _result(self, state: State, gradient: FloatArray, energy: float, failure: str = "") -> Equilibrium:
-        return Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved, self.unstable)
+        found = Equilibrium(state, gradient, energy, tuple(self.residuals), failure, self.solved, self.unstable)
+        return replace(found, factors=self.factors, definite_within_mm=self.definite_within_mm)
 
     def given_up(self) -> str:
         """Return why the search is not gone on with, or nothing."""
@@ -420,13 +436,18 @@ class _Search:
         What it needs (Eisenstat and Walker 1996, their second choice): no more digits than the step before has won
         twice, since the next residual is quadratic in this one, and no more than a tenth of what is still to be done.
         """
-        matrix, residuals = self.assembly.matrix, self.residuals
-        if self.factors != matrix.version or len(residuals) < 2 or residuals[-1] > _NEARLY_LINEAR * residuals[-2]:
+        matrix, last = self.assembly.matrix, max(self.residuals[-1], 1e-300)
+        if self.factors != matrix.version or last > _NEARLY_BALANCED / self.options.residual_rel * self.bar_n:
             return None
-        if residuals[-1] > _NEARLY_BALANCED / self.options.residual_rel * self.bar_n:
+        if len(self.residuals) > 1:
+            won = last / max(self.residuals[-2], 1e-300)
+        elif self.goes_on:
+            won = 0.0
+        else:
             return None
-        last, before = max(residuals[-1], 1e-300), max(residuals[-2], 1e-300)
-        needed = min(max(0.1 * self.bar_n / last, (last / before) ** 2, 1e-8), 1e-3)
+        if won > _NEARLY_LINEAR:
+            return None
+        needed = min(max(0.1 * self.bar_n / last, won**2, 1e-8), 1e-3)
         most = max(_FEWEST_REFINEMENTS, round(_REFINEMENTS_PER_ROOT * math.sqrt(right.size)))
         return refined(matrix.times, self.solver, right, needed, most)
 
@@ -566,6 +587,7 @@ def find_equilibrium(
     supports: Supports,
     solver: SymmetricSolver,
     options: NewtonOptions | None = None,
+    after: Equilibrium | None = None,
 ) -> Equilibrium:
     """Find the least energy near a state, with prescribed displacements.
 
@@ -582,9 +604,16 @@ def find_equilibrium(
     they shall be move there in the first step, or in several where that turns an element inside out or a term allows
     less.
 
+    Parameters
+    ----------
+    assembly, start, supports, solver, options
+        What is in equilibrium, where the search begins, what is held, what solves, and when it ends.
+    after
+        The equilibrium that `start` is, found with this solver, when terms have changed a little since.
+
     Returns
     -------
     Equilibrium
         Check its `failure`: it is empty for an equilibrium.
     """
-    return _Search(assembly, supports, solver, options or NewtonOptions()).run(start)
+    return _Search(assembly, supports, solver, options or NewtonOptions(), after).run(start)

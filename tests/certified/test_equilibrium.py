@@ -13,11 +13,11 @@ from sim.mechanics import Block, Cylinder, FingerMesh, LinearElastic, Ogden, Pen
 from sim.mechanics import _assembly as assembly_module
 from sim.mechanics import _increments as increments
 from sim.mechanics import _newton as newton
-from sim.mechanics._assembly import UpperBlocks
 from sim.mechanics._finger_mesh import TiedNodes
 from sim.mechanics._increments import Load, State, load_increments
 from sim.mechanics._increments import _Search as _IncrementSearch
-from sim.mechanics._linear_solver import linear_solver, refined
+from sim.mechanics._linear_solver import UpperBlocks, linear_solver, refined
+from sim.mechanics._loads import DeadForce
 from sim.mechanics._materials import neo_hooke
 from sim.mechanics._mesh import Tie
 from sim.mechanics._newton import (
@@ -114,6 +114,34 @@ def test_a_whole_step_is_assembled_once_and_not_evaluated_before(monkeypatch):
     rest = assemble(assembly.elasticity.mesh, TPU)
     gradient, _ = rest.assemble(reached.state)
     assert gradient == pytest.approx(reached.gradient_n, abs=1e-9)
+
+
+def test_a_search_goes_on_with_the_elements_and_the_factors_of_before(monkeypatch):
+    # as where friction's limits are renewed at an equilibrium: nothing but a term has changed
+    _, assembly, loading = sheared_beam()
+    pull = DeadForce(np.arange(assembly.count // 2))
+    assembly.terms = (pull,)
+    supports, solver = loading(0.5), linear_solver()
+    before = find_equilibrium(assembly, assembly.at_rest(), supports, solver)
+    pull.force_n[:] = (0.0, 1e-3, 0.0)
+    evaluate, levels, factorised = assembly_module.many_hexahedra, [], []
+
+    def counted(*given):
+        levels.append(given[7])
+        return evaluate(*given)
+
+    monkeypatch.setattr(assembly_module, "many_hexahedra", counted)
+    factorise = solver.factorise_definite
+    monkeypatch.setattr(solver, "factorise_definite", lambda *given: factorised.append(1) or factorise(*given))
+    further = find_equilibrium(assembly, before.state, supports, solver, after=before)
+    assert not further.failure
+    assert further.iterations > 0
+    # the state that the search goes on from has been evaluated
+    assert len(levels) == len(further.residuals_n) - 1
+    assert not factorised
+    afresh = find_equilibrium(assembly, before.state, supports, linear_solver())
+    assert further.state.u_mm == pytest.approx(afresh.state.u_mm, abs=1e-7)
+    assert np.abs(further.state.u_mm - before.state.u_mm).max() > 1e-5
 
 
 def test_a_column_buckles():
