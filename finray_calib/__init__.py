@@ -62,9 +62,11 @@ if TYPE_CHECKING:
         render_sensor,
         sweep_light_angle,
     )
-    from finray_calib._judging_functions import compare_force, compare_press, decide_light_angle
     from finray_calib._library import (
         capture_session,
+        compare_force,
+        compare_press,
+        decide_light_angle,
         fit_paint,
         import_bands,
         map_paint,
