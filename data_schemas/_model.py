@@ -99,7 +99,9 @@ class Model(_MadeInPython):
     """
 
     dimension_of: ClassVar[Mapping[str, str]] = {}
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=False, validate_default=True, defer_build=True
+    )
 
     @model_validator(mode="after")
     def _dimensions_agree(self) -> Self:

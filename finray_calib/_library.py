@@ -1,7 +1,8 @@
 """The functions of the library: from a rig to a decision, one per stage, with those that read, write and trace.
 
 Those of the finger stand in :mod:`finray_calib._finger_functions`. Where a file went in, the record that comes out
-names it with its SHA-256, so that a stored result can be traced.
+names it with its SHA-256, so that a stored result can be traced. A fit needs no records of fingers, which take as long
+to load as its own: the functions that do load them when they are called.
 """
 
 import os
@@ -20,27 +21,16 @@ from data_schemas import (
     CameraSession,
     CaptureError,
     CaptureSession,
-    CompareError,
-    DecideError,
     FitError,
-    ForceComparison,
-    LightAngleDecision,
-    LightAngleSweep,
-    NormalMapRecord,
     PaintCalibration,
     PaintMap,
     PaintPlan,
     PaintWithoutEmission,
-    PhotometricErrorReport,
-    PixelScale,
     PixelSignals,
-    PressMechanics,
     RadiometryError,
     Record,
     RecordError,
     RigFile,
-    SimulatedPress,
-    TactileCapture,
     explain,
     provenance,
 )
@@ -61,7 +51,19 @@ from finray_calib._arguments import (
 )
 
 if TYPE_CHECKING:
-    from data_schemas import ColourCheckerMatch, SessionScatter
+    from data_schemas import (
+        ColourCheckerMatch,
+        ForceComparison,
+        LightAngleDecision,
+        LightAngleSweep,
+        NormalMapRecord,
+        PhotometricErrorReport,
+        PixelScale,
+        PressMechanics,
+        SessionScatter,
+        SimulatedPress,
+        TactileCapture,
+    )
     from finray_calib.lineage import Traced
     from rigs import OpenRig
 
@@ -417,16 +419,16 @@ def map_paint(pixels: PixelSignals | PathLike, paint: PaintCalibration | PathLik
 
 
 def compare_press(
-    simulated: SimulatedPress | PathLike,
-    capture: TactileCapture | PathLike,
+    simulated: "SimulatedPress | PathLike",
+    capture: "TactileCapture | PathLike",
     *,
     register: bool = False,
     despite_mismatch: bool = False,
     relative: bool = False,
-    normal_map: NormalMapRecord | PathLike | None = None,
-    pixel_scale: PixelScale | PathLike | None = None,
+    normal_map: "NormalMapRecord | PathLike | None" = None,
+    pixel_scale: "PixelScale | PathLike | None" = None,
     seed: int = 1,
-) -> PhotometricErrorReport:
+) -> "PhotometricErrorReport":
     """Compare a simulated press with a tactile capture: skill over the contact and its halo, with floor and interval.
 
     Parameters
@@ -451,6 +453,7 @@ def compare_press(
     CompareError
         The images do not belong together.
     """
+    from data_schemas import CompareError, NormalMapRecord, PixelScale, SimulatedPress, TactileCapture
     from finray_calib.compare import CheckOptions, compare_checked
 
     seed = checked_seed(seed)
@@ -472,13 +475,13 @@ def compare_press(
 
 
 def compare_force(
-    press: PressMechanics | PathLike,
+    press: "PressMechanics | PathLike",
     force_csv: PathLike,
     *,
     known_first_touch: bool = False,
-    other_mesh: PressMechanics | PathLike | None = None,
+    other_mesh: "PressMechanics | PathLike | None" = None,
     seed: int = 1,
-) -> ForceComparison:
+) -> "ForceComparison":
     """Compare the force of a press by finite elements with a measured one.
 
     Parameters
@@ -496,6 +499,7 @@ def compare_force(
     """
     import numpy as np
 
+    from data_schemas import CompareError, PressMechanics
     from finray_calib.exchange import read_force_csv
     from finray_calib.force import compare_force as compare
 
@@ -511,15 +515,15 @@ def compare_force(
 
 
 def decide_light_angle(
-    sweeps: LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike],
-    reports: Sequence[PhotometricErrorReport | PathLike] = (),
+    sweeps: "LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike]",
+    reports: "Sequence[PhotometricErrorReport | PathLike]" = (),
     *,
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
     criterion: Literal["average", "worst"] = "average",
     aim: Literal["brightness", "normal"] | None = None,
     seed: int = 1,
-) -> LightAngleDecision:
+) -> "LightAngleDecision":
     """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
 
     Parameters
@@ -545,6 +549,7 @@ def decide_light_angle(
     DecideError
         The sweeps allow no decision or do not belong together, or a report is not of this finger.
     """
+    from data_schemas import DecideError, LightAngleSweep, PhotometricErrorReport
     from finray_calib.decide import decide
 
     seed = checked_seed(seed)

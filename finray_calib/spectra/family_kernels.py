@@ -24,11 +24,13 @@ import math
 import os
 from collections.abc import Callable
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Final, TypeVar
 
 import numba
 import numpy as np
+from numba.np import linalg
 from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -84,6 +86,23 @@ def _cache_folder() -> str:
     base = numba.config.CACHE_DIR or str(Path(home) / "finray-calib")
     return str(Path(base) / f"compiled-{digest.hexdigest()[:12]}")
 
+
+def _load_arrays_without_scipy() -> None:
+    """Load what Numba knows of arrays without :mod:`scipy.linalg`, which takes as long as the rest of Numba.
+
+    Numba asks whether there is a BLAS where it loads its functions of arrays, at the first call of any compiled
+    function, although it needs one only where compiled code multiplies matrices. It asks again there, and then loads
+    it. The answer is known here: SciPy is required by this package.
+    """
+    asked = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = asked
+
+
+_load_arrays_without_scipy()
 
 _LARGE: Final = 2.414213562373095  # tan(3 pi / 8)
 _MIDDLE: Final = 0.4142135623730950  # tan(pi / 8)

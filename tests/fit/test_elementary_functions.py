@@ -1,5 +1,8 @@
 """The compiled elementary functions beside numpy's, over the ranges that their docstrings state."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -29,3 +32,19 @@ def test_logarithm_follows_numpy(largest, rtol):
 def test_logarithm_keeps_its_digits_near_zero():
     x = np.array([1e-12, -1e-9, 3e-6])
     np.testing.assert_allclose([log_of_one_plus(value) for value in x], np.log1p(x), rtol=1e-15)
+
+
+LOADS = """
+import sys
+import numba, numpy as np
+from finray_calib.spectra.family_kernels import arctangent
+assert arctangent(1.0) == np.arctan(1.0)
+print("scipy.linalg" in sys.modules)
+product = numba.njit(lambda a, b: a @ b)
+print(product(np.eye(2), np.full((2, 2), 3.0)).tolist(), "scipy.linalg" in sys.modules)
+"""
+
+
+def test_compiled_functions_load_no_scipy_and_those_of_others_multiply_matrices():
+    done = subprocess.run([sys.executable, "-c", LOADS], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["False", "[[3.0, 3.0], [3.0, 3.0]] True"]
