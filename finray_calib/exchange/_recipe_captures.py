@@ -49,12 +49,16 @@ from finray_calib.exchange._capture_recipe import (
     require_possible_depths,
     require_possible_scale,
 )
-from finray_calib.exchange._render_files import exr_steps, frame_of, in_colour, pixels_of, require_alike
-from finray_calib.exchange._video_frames import (
+from finray_calib.exchange._picture_files import (
     CONVERT_VIDEO,
     begins_early,
+    exr_steps,
+    frame_of,
+    in_colour,
     longest_hold,
     motion_jpeg_frames,
+    pixels_of,
+    require_alike,
     small_frame,
 )
 from finray_calib.sensing import (
