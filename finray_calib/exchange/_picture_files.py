@@ -1,8 +1,11 @@
 """Pictures of other labs: PNG, JPEG, OpenEXR, arrays; frames of videos, and which of them hold the contact."""
 
+import os
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import cv2
@@ -10,17 +13,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError
-from data_schemas.storage import has_file, read_bytes, read_npy
+from data_schemas.storage import has_file, parse_in_child, read_bytes, read_npy
+from finray_calib.exchange._ball_presses import read_npz
 from finray_calib.exchange._paint_reradiation import exr_pixels
 from rigs.cameras import decoded_picture
 
 Floats = NDArray[np.float64]
 
+#: In which frames may be coded in any way; they are decoded in a process of its own.
+CODED_VIDEOS: Final = (".mp4", ".m4v", ".mov", ".mkv", ".webm")
+VIDEOS: Final = (".avi", *CODED_VIDEOS)
+_MOST_DECODED_BYTES = 512 << 20
 LARGEST_VIDEO_BYTES = 512 << 20
 MOST_FRAMES = 20_000
 _HEADER_BYTES = 8
 _DEEPEST_LIST = 6
 CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
+
+
+def video_frames(path: Path) -> list[bytes]:
+    """Return the bytes of every frame of a video, JPEG (Motion JPEG in AVI) or PNG (decoded), in order.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing, its frames cannot be decoded, or there are too many.
+    """
+    if path.suffix.lower() not in CODED_VIDEOS:
+        return motion_jpeg_frames(path)
+    content = read_bytes(path, "a video", ImportFormatError, LARGEST_VIDEO_BYTES)
+    _, found = parse_in_child(f"{__name__}:decoded_video", content, path, "a video", ImportFormatError)
+    ends = np.cumsum(found["sizes"])
+    whole = found["frames"].tobytes()
+    return [whole[end - size : end] for end, size in zip(ends, found["sizes"], strict=True)]
+
+
+def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
+    """Decode a video into PNG frames; the child's side of :func:`video_frames`."""
+    frames: list[NDArray[np.uint8]] = []
+    decoded = 0
+    with TemporaryDirectory(prefix="finray-video-") as folder:
+        file = Path(folder) / "video"
+        file.write_bytes(content)
+        os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
+        video = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
+        while (read := video.read())[0]:
+            decoded += read[1].nbytes
+            if decoded > _MOST_DECODED_BYTES or len(frames) == MOST_FRAMES:
+                raise ImportFormatError(
+                    f"{where}: takes more than {_MOST_DECODED_BYTES >> 20} MB when decoded; cut the video, or "
+                    f"{CONVERT_VIDEO}"
+                )
+            frames.append(cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].ravel())
+        video.release()
+    if not frames:
+        raise ImportFormatError(f"{where}: cannot be decoded as a video; {CONVERT_VIDEO}")
+    sizes = np.array([frame.size for frame in frames], dtype=np.int64)
+    return None, {"frames": np.concatenate(frames), "sizes": sizes}
 
 
 def motion_jpeg_frames(path: Path) -> list[bytes]:
@@ -85,30 +134,134 @@ def begins_early(strength: Floats, before: int, outliers: int) -> bool:
 
 
 _BITS: Final = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
-_PICTURE: Final = "a picture (PNG, JPEG, npy) or OpenEXR image"
+_PICTURE: Final = "a picture (PNG, JPEG, TIFF, WebP, BMP, npy) or OpenEXR image"
 _UPRIGHT = 1
 _ORIENTATION_TAG = 0x0112
+TIFF_STARTS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BMP_START: Final = b"BM"
 #: More pixels of an OpenEXR image above full scale than these are no highlight, and fewer steps below it no picture.
 _MOST_ABOVE_FULL, _LEAST_STEPS = 0.01, 256
+ARRAY_FILES: Final = (".npz", ".npy", ".tif", ".tiff")
+_MOST_KEPT = 2
+_ARRAY_PLACE = re.compile(r"(?P<file>.+?)::(?P<array>[^\[\]]*)(?:\[(?P<index>\d+)\])?")
 
 
-def pixels_of(path: Path) -> NDArray[Any]:
-    """Return a picture as stored, (H, W, 3) in RGB order, or (H, W, 1) where it is grey; npy in its own order.
+class ArrayFiles:
+    """Read arrays of npz, npy and TIFF files; those of the last files are kept, since many presses need them."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Path, tuple[Mapping[str, NDArray[Any]], tuple[str, ...]]] = {}
+
+    def of(self, path: Path) -> tuple[Mapping[str, NDArray[Any]], tuple[str, ...]]:
+        """Return the arrays of a file by name, and the names of its pickled ones; an npy or TIFF file has one, ""."""
+        if path not in self._kept:
+            while len(self._kept) >= _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            kind = path.suffix.lower()
+            if kind not in ARRAY_FILES:
+                raise ImportFormatError(
+                    f"{path}: arrays of pictures are read from {', '.join(ARRAY_FILES)}; {_conversion(path)}"
+                )
+            if kind == ".npz":
+                self._kept[path] = read_npz(path)
+            else:
+                self._kept[path] = ({"": _stack(path)}, ())
+        return self._kept[path]
+
+    def array(self, path: Path, name: str) -> NDArray[Any]:
+        """Return one of them."""
+        arrays, pickled = self.of(path)
+        if name in pickled:
+            raise ImportFormatError(
+                f"{path}: '{name}' is stored as pickled objects, which are never loaded; have its owner save it again "
+                "as a plain array (numpy.savez with equal shapes)"
+            )
+        if name not in arrays:
+            raise ImportFormatError(
+                f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}"
+            )
+        return arrays[name]
+
+    def count(self, path: Path, name: str) -> int:
+        """Return the number of pictures in an array."""
+        array = self.array(path, name)
+        if array.ndim not in (3, 4):
+            raise ImportFormatError(
+                f"{path}: '{name}' of shape {array.shape} is no array of pictures; (pictures, rows, columns, 3) is "
+                "needed, or (pictures, rows, columns) for grey"
+            )
+        return len(array)
+
+    def picture(self, path: Path) -> NDArray[Any]:
+        """Return the picture at a path into an array, ``set.npz::images[3]``."""
+        place = _ARRAY_PLACE.fullmatch(path.name)
+        if place is None:
+            raise ImportFormatError(f"{path}: must end in ::ARRAY or ::ARRAY[number], such as ::images[3]; correct it")
+        array = self.array(path.with_name(place["file"]), place["array"])
+        if place["index"] is None:
+            return array
+        if array.ndim < 3 or int(place["index"]) >= len(array):
+            raise ImportFormatError(f"{path}: the array of shape {array.shape} has no such picture; correct the recipe")
+        return np.asarray(array[int(place["index"])])
+
+
+def file_of(path: Path) -> Path:
+    """Return the file of a path, which may lead into an array of it."""
+    return path.with_name(path.name.partition("::")[0])
+
+
+def _stack(path: Path) -> NDArray[Any]:
+    """Return the array of an npy file, or all pictures of a TIFF."""
+    if path.suffix.lower() == ".npy":
+        return read_npy(path, _PICTURE, ImportFormatError)
+    content = read_bytes(path, "a stack of pictures (TIFF)", ImportFormatError)
+    return parse_in_child(f"{__name__}:decoded_pages", content, path, "TIFF", ImportFormatError)[1]["pages"]
+
+
+def decoded_pages(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
+    """Decode all pictures of a file of a kind that few programs write, in RGB order; run in a child process."""
+    try:
+        is_read, pages = cv2.imdecodemulti(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        is_read, pages = False, ()
+    if not is_read or not pages:
+        raise ImportFormatError(f"{where}: cannot be decoded; the picture is damaged: copy it again")
+    if len({page.shape for page in pages}) > 1:
+        raise ImportFormatError(f"{where}: holds pictures of several sizes; save each as a file of its own")
+    stack = np.stack(pages)
+    return None, {"pages": stack if stack.ndim == 3 else np.ascontiguousarray(stack[..., _RGB[stack.shape[-1]]])}
+
+
+_RGB: Final = {1: [0], 2: [0, 1], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
+
+
+def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
+    """Return a picture as stored, (H, W, 3) in RGB order, or (H, W, 1) where it is grey; arrays in their own order.
+
+    Parameters
+    ----------
+    path
+        A file, or a picture in an array of one.
+    arrays
+        Keeps files of arrays that are read more than once.
 
     Raises
     ------
     ImportFormatError
         It is missing, of another kind or depth, turned by a mark that viewers follow, or transparent in part.
     """
-    if not has_file(path):
-        raise ImportFormatError(f"{path}: no such file; the folder must hold it")
+    if not has_file(file_of(path)):
+        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+    if file_of(path) != path:
+        return _counts_array((arrays or ArrayFiles()).picture(path), path)
     if path.suffix.lower() == ".npy":
-        return _counts_array(path)
+        return _counts_array(read_npy(path, _PICTURE, ImportFormatError), path)
     content = read_bytes(path, _PICTURE, ImportFormatError)
-    if not content.startswith((b"\x89PNG", b"\xff\xd8")):
+    is_common = content.startswith((b"\x89PNG", b"\xff\xd8"))
+    if not is_common and not content.startswith((*TIFF_STARTS, _BMP_START)) and content[8:12] != b"WEBP":
         raise ImportFormatError(
             f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
-            f"read (npy, OpenEXR); {_conversion(path)}"
+            f"read (TIFF, WebP, BMP, npy, OpenEXR); {_conversion(path)}"
         )
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
@@ -116,7 +269,16 @@ def pixels_of(path: Path) -> NDArray[Any]:
             "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
             "themselves, as 'mogrify -auto-orient' does, and label the result"
         )
-    return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
+    if is_common:
+        return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
+    pages = parse_in_child(f"{__name__}:decoded_pages", content, path, "a picture", ImportFormatError)[1]["pages"]
+    if len(pages) > 1:
+        raise ImportFormatError(
+            f"{path}: holds {len(pages)} pictures; write {path.name}::[{{press}}] where each is a press, or "
+            f"{path.name}::[0] for the first"
+        )
+    page = pages[0]
+    return _in_rgb(page if page.ndim == 2 else page[..., _RGB[page.shape[2]]], path)
 
 
 _OPENED: Final = {
@@ -147,15 +309,51 @@ def _conversion(path: Path) -> str:
     )
 
 
-def _counts_array(path: Path) -> NDArray[Any]:
-    """Return an array of counts, (H, W, 3), or (H, W, 1) where it is grey."""
-    array = read_npy(path, _PICTURE, ImportFormatError)
-    if array.dtype not in _BITS or array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,)):
+def _counts_array(array: NDArray[Any], path: Path) -> NDArray[Any]:
+    """Return an array of counts or fractions, (H, W, 3), or (H, W, 1) where it is grey."""
+    if array.ndim == 3 and array.shape[0] in (1, 3) and array.shape[2] not in (1, 3):
+        array = np.moveaxis(array, 0, 2)  # the order of PyTorch
+    known = array.dtype in _BITS or array.dtype.kind == "f"
+    if not known or array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,)):
         raise ImportFormatError(
-            f"{path}: holds {array.dtype} of shape {array.shape}; uint8 or uint16 of shape (rows, columns, 3), or "
-            "(rows, columns) for grey, are read: save each picture as the counts of the camera"
+            f"{path}: holds {array.dtype} of shape {array.shape}; uint8, uint16 or fractions of shape (rows, columns, "
+            "3), or (rows, columns) for grey, are read: save each picture as the counts of the camera"
         )
     return array[..., None] if array.ndim == 2 else array
+
+
+def map_of(path: Path, arrays: ArrayFiles) -> Floats:
+    """Return a map of one value per pixel, (H, W), such as depths: grey pictures, OpenEXR of one channel, arrays.
+
+    Raises
+    ------
+    ImportFormatError
+        It is missing, has several values per pixel, or holds some that are no numbers.
+    """
+    if not has_file(file_of(path)):
+        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+    if path.suffix.lower() == ".exr":
+        values = np.stack([np.asarray(channel) for channel in exr_pixels(path).values()], axis=-1)
+    elif file_of(path) != path:
+        values = arrays.picture(path)
+    elif path.suffix.lower() in (".npy", ".tif", ".tiff"):
+        values = _stack(path)
+        values = values[0] if path.suffix.lower() != ".npy" and len(values) == 1 else values
+    else:
+        values = pixels_of(path)
+    if values.ndim == 3 and (values == values[..., :1]).all():
+        values = values[..., 0]
+    if values.ndim != 2:
+        raise ImportFormatError(
+            f"{path}: a map needs one value per pixel, got the shape {values.shape}; colours of a picture of a map "
+            "cannot be read as values: give the map itself"
+        )
+    if not np.isfinite(values).all():
+        raise ImportFormatError(
+            f"{path}: {100 * (~np.isfinite(values)).mean():.2g} % of its values are not finite; fill them, or name the "
+            "press in presses.leave_out"
+        )
+    return values.astype(np.float64)
 
 
 def frame_of(content: bytes, path: Path) -> NDArray[Any]:
@@ -183,11 +381,15 @@ def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
 
 
 def orientation(content: bytes) -> int:
-    """Return how a JPEG or PNG is marked to be turned (EXIF): 1 for upright, or where it says nothing that is known."""
-    at = content.find(b"Exif\0\0", 0, 1 << 16) + 6 if content.startswith(b"\xff\xd8") else content.find(b"eXIf") + 4
-    if at < 6:
-        return _UPRIGHT
-    exif = content[at : at + (1 << 16)]
+    """Return how a picture is marked to be turned (EXIF): 1 for upright, or where it says nothing that is known."""
+    if content.startswith(TIFF_STARTS[:2]):
+        exif = content
+    else:
+        mark, behind = (b"Exif\0\0", 6) if content.startswith((b"\xff\xd8", b"RIFF")) else (b"eXIf", 4)
+        at = content.find(mark, 0, 1 << 16) if content.startswith(b"\xff\xd8") else content.find(mark)
+        if at < 0:
+            return _UPRIGHT
+        exif = content[at + behind : at + behind + (1 << 16)]
     order = {b"II": "little", b"MM": "big"}.get(exif[:2])
     if order not in ("little", "big"):
         return _UPRIGHT
@@ -202,15 +404,17 @@ def orientation(content: bytes) -> int:
     return _UPRIGHT
 
 
-def exr_steps(path: Path, full_scale_rel: float) -> NDArray[np.uint16]:
-    """Return an OpenEXR image (H, W, 3) in steps of which 65535 are full scale.
+def steps_of(image: NDArray[Any], path: Path, full_scale_rel: float) -> NDArray[np.uint16]:
+    """Return values of light (H, W, channels) in steps of which 65535 are full scale.
 
     Raises
     ------
     ImportFormatError
-        Much of it lies above full scale, or so little of the scale is used that steps would be seen.
+        Some are no numbers or below 0, much of it lies above full scale, or so little of the scale is used that steps
+        would be seen.
     """
-    image = exr_rgb(path)
+    if not np.isfinite(image).all() or image.min(initial=0.0) < 0.0:
+        raise ImportFormatError(f"{path}: holds values that are not finite or below 0; render or save it again")
     largest, above = float(image.max()), float((image > full_scale_rel).mean())
     if above > _MOST_ABOVE_FULL or largest * 65535.0 < _LEAST_STEPS * full_scale_rel:
         what = (

@@ -188,7 +188,7 @@ NO_CONTACT: Final = "no_contact"
 DESCRIPTION: Final = "render.json"
 DEPTH: Final = "depth.npy"
 MASK: Final = "contact_mask.png"
-IMAGE_ENDINGS: Final = (".exr", ".npy", ".png", ".jpg", ".jpeg")
+IMAGE_ENDINGS: Final = (".exr", ".npy", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
 #: A gel that is pressed in by less than this share of the greatest depth is taken for one that is not touched.
 LEAST_DEPTH_SHARE: Final = 0.01
 

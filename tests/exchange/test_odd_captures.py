@@ -244,8 +244,8 @@ def test_frames_that_already_show_contact_are_no_rest(tmp_path):
     with pytest.raises(ImportFormatError, match="shows contact within the first 16 frames"):
         read(tmp_path, text)
     (tmp_path / "g.mp4").write_bytes((tmp_path / "g.avi").read_bytes())
-    with pytest.raises(ImportFormatError, match=r"is for Motion-JPEG videos \(\.avi\), and g\.mp4 is not one"):
-        read(tmp_path, VIDEO.replace(".avi", ".mp4"))
+    # the frames decide what a video is, not its name
+    assert len(read(tmp_path, VIDEO.split("[force]")[0].replace(".avi", ".mp4")).captures) == 1
 
 
 @pytest.mark.parametrize("noise_dn", [1.0, 3.0])

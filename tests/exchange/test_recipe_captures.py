@@ -22,7 +22,7 @@ from finray_calib.exchange import (
     recipe_names,
     with_sizes,
 )
-from finray_calib.exchange._capture_recipe import pickle_words
+from finray_calib.exchange._lab_measurements import pickle_words
 from finray_calib.sensing import _contact_place as contact_place
 from finray_calib.sensing import contact_distance, find_contact_circle
 from finray_calib.sensing._contact_place import _coarse
@@ -313,7 +313,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
             "outside the picture of 160 x 120 px; check whether row and",
         ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is not one"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for videos \(\.avi, .*\), and a\.png is not one"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
