@@ -224,20 +224,6 @@ class LabelTable:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None
 
-
-def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
-    """Return press -> what a line may call it without the folders before, and whether that is said of it alone.
-
-    That is its file, its name, and the stem of its file where the name is in it; of ``{press}/image.png`` all presses
-    would be called "image.png".
-    """
-    called: dict[str, tuple[str, ...]] = {}
-    for name, path in files.items():
-        last, stem = PurePosixPath(name).name, composed(path.stem)
-        called[name] = (composed(path.name), last, *((stem,) if last in stem else ()))
-    presses = Counter(part for parts in called.values() for part in enumerate(parts))
-    return {name: {part: presses[k, part] == 1 for k, part in enumerate(parts)} for name, parts in called.items()}
-
     def nearest(self, path: Path, to: RecipeNearest, at: float) -> dict[str, str]:
         """Return the line whose time is nearest to that of a press.
 
@@ -254,6 +240,20 @@ def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
         if not apart.size or apart.min() > to.within:
             raise LeftOutError(f"no line of {path.name} lies within {to.within:g} of its time")
         return dict.fromkeys(self.columns, "") | self.rows[int(np.argmin(apart))]
+
+
+def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
+    """Return press -> what a line may call it without the folders before, and whether that is said of it alone.
+
+    That is its file, its name, and the stem of its file where the name is in it; of ``{press}/image.png`` all presses
+    would be called "image.png".
+    """
+    called: dict[str, tuple[str, ...]] = {}
+    for name, path in files.items():
+        last, stem = PurePosixPath(name).name, composed(path.stem)
+        called[name] = (composed(path.name), last, *((stem,) if last in stem else ()))
+    presses = Counter(part for parts in called.values() for part in enumerate(parts))
+    return {name: {part: presses[k, part] == 1 for k, part in enumerate(parts)} for name, parts in called.items()}
 
 
 def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable:
@@ -584,7 +584,7 @@ class PressLabels:
             if maps[-1].shape != shape[:2]:
                 raise ImportFormatError(
                     f"{path}: is {maps[-1].shape[1]} x {maps[-1].shape[0]} px, and the picture of {name} {shape[1]} x "
-                    f"{shape[0]}; a map must have the pixels of its picture: scale it to them"
+                    f"{shape[0]} px; a map must have the pixels of its picture: scale it to them"
                 )
         return (maps[0] - (maps[1] if len(maps) > 1 else 0.0)) * source.mm_per_value
 

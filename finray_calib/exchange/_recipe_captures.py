@@ -31,6 +31,7 @@ from finray_calib.exchange._capture_recipe import (
     PressFile,
     Recipe,
     RecipeDepthMap,
+    is_named,
     named_file,
     named_presses,
     press_files,
@@ -140,7 +141,7 @@ def read_by_recipe(
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe excludes it": excluded} if excluded else {}
     for where, names_of in named_presses(recipe).items():
-        if absent := [name for name in names_of if name not in reader.files]:
+        if absent := [name for name in names_of if not any(is_named(press, name) for press in reader.files)]:
             left_out[f"{where} of the recipe names it, but the folder has no such press"] = absent
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
@@ -542,7 +543,7 @@ class _Folder:
         """Return the capture with the contact and the greatest depth of a map."""
         path = self.files[name].path
         stored = self._pictures[path].shape if path in self._pictures else capture.contact.shape
-        depths = self._stretched(self._labels.depths_mm(name, source, stored).astype(np.float32))
+        depths = self._stretched(self._labels.depths_mm(name, source, stored))
         deepest = float(depths.max())
         if not deepest > 0.0:
             raise LeftOutError(
@@ -550,7 +551,7 @@ class _Folder:
                 "the gel is pressed in, mm_per_value is below 0"
             )
         least = source.least_depth_mm or LEAST_DEPTH_SHARE * deepest
-        circle, corners = contact_of_depths(depths.astype(np.float64), least)
+        circle, corners = contact_of_depths(depths, least) if deepest > least else (None, ())
         if len(corners) < 3:
             raise LeftOutError(
                 f"its map of depths, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels"
