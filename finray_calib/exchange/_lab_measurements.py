@@ -7,7 +7,7 @@ their names, lines of a table, or entries of npz and JSON files, as a recipe say
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -27,11 +27,9 @@ from data_schemas import (
 from data_schemas.storage import (
     finite_number,
     has_file,
-    parse_json,
     read_csv,
     read_json,
     read_table,
-    read_text,
     tiff_image,
 )
 from finray_calib.exchange._capture_recipe import (
@@ -55,7 +53,7 @@ from finray_calib.exchange._capture_recipe import (
     named_file,
     number_in_name,
 )
-from finray_calib.exchange._picture_files import TIFF_STARTS, ArrayFiles, file_of, map_of
+from finray_calib.exchange._set_files import TIFF_STARTS, ArrayFiles, file_of, map_of, table_rows
 from finray_calib.force import MeasuredForce
 from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
 from rigs.cameras import decoded_picture, read_content, read_raw
@@ -180,7 +178,6 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
 
 
 _MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+(?:\s*,\s*\d+)*)\])?$")
-_TABLES: Final = (".jsonl", ".ndjson")
 PICKLED = (".pkl", ".pickle")
 
 
@@ -258,7 +255,7 @@ def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
 
 def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable:
     """Read a table whose column `press` names the press, its file or its folder, or holds a time."""
-    columns, rows = _table_rows(path)
+    columns, rows = table_rows(path)
     if press not in columns:
         raise ImportFormatError(
             f"{path}: has no column '{press}' that {'names the press' if is_name else 'holds the time'}; it has "
@@ -275,47 +272,6 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
             if row not in lines:
                 lines.append(row)
     return table
-
-
-def _table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
-    kind = path.suffix.lower()
-    if kind not in (".json", *_TABLES):
-        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
-        return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
-    if kind == ".json":
-        whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
-        if isinstance(whole, dict):  # such as { "version": 1, "presses": [ ... ] }
-            lists = [of for of in whole.values() if isinstance(of, list) and of and isinstance(of[0], dict)]
-            whole = lists[0] if len(lists) == 1 else whole
-    else:
-        text = read_text(path, "labels (JSON lines)", ImportFormatError)
-        said = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-        whole = [
-            parse_json(line.encode(), f"{path}, line {number}", ImportFormatError, any_number=True)
-            for number, line in said
-        ]
-    if not isinstance(whole, list) or not all(isinstance(of, dict) for of in whole):
-        raise ImportFormatError(f"{path}: must be a list of objects, [{{ ... }}, ...], with one for each press")
-    rows = [{key: _cell(value) for key, value in _flat(of)} for of in whole]
-    return list(dict.fromkeys(key for row in rows for key in row)), rows
-
-
-def _cell(value: object) -> str:
-    """Return a value of a JSON file as the cell of a table."""
-    return value if isinstance(value, str) else "" if value is None or isinstance(value, bool) else repr(value)
-
-
-def _flat(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield key and value of an object and of all in it: outer.inner, and list[0] of lists."""
-    inside = list(whole.items())
-    for key, value in inside:  # grows while it is read
-        if isinstance(value, dict):
-            inside += [(f"{key}.{inner}", of) for inner, of in value.items()]
-        elif isinstance(value, list):
-            inside += [(f"{key}[{k}]", of) for k, of in enumerate(value)]
-        else:
-            yield key, value
 
 
 def label_column(path: Path, column: str | None) -> list[str]:

@@ -44,7 +44,8 @@ from finray_calib.exchange._lab_measurements import (
     pickle_words,
     require_circles_on_contacts,
 )
-from finray_calib.exchange._picture_files import (
+from finray_calib.exchange._render_files import LEAST_DEPTH_SHARE
+from finray_calib.exchange._set_files import (
     CONVERT_VIDEO,
     VIDEOS,
     ArrayFiles,
@@ -60,7 +61,6 @@ from finray_calib.exchange._picture_files import (
     steps_of,
     video_frames,
 )
-from finray_calib.exchange._render_files import LEAST_DEPTH_SHARE
 from finray_calib.sensing import (
     changes_elsewhere,
     contact_of_depths,
@@ -362,8 +362,8 @@ class _Folder:
             )
         if not of_light and full is not None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and to arrays of "
-                f"fractions, and {path.name} is not one; leave it out"
+                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} "
+                "is not one, nor an array of fractions; leave it out"
             )
         self._pictures[path] = stored if full is None else steps_of(stored, path, full)
         return self._arranged(in_colour(self._pictures[path]))

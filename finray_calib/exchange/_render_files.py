@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError
 
 from data_schemas import ContactCircle, ImportFormatError, Model, Provenance, SimulatedPress, TactileCapture, explain
 from data_schemas.storage import ProductSet, read_json, read_npy, refuse_existing
-from finray_calib.exchange._picture_files import exr_rgb, in_colour, pixels_of, require_alike
+from finray_calib.exchange._set_files import exr_rgb, in_colour, pixels_of, require_alike
 from finray_calib.sensing import contact_distance, outline_distance, rgb_image
 from rigs.cameras import read_picture
 from sim.experiments import OpticsProducts

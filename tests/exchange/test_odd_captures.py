@@ -9,7 +9,7 @@ import pytest
 
 from data_schemas import ImportFormatError
 from finray_calib.exchange import Recipe, read_by_recipe
-from finray_calib.exchange._picture_files import orientation
+from finray_calib.exchange._set_files import orientation
 from tests.command_line.running import succeed
 from tests.exchange.recipe_folders import BALLS, flat, grasp, repicture, save, turned_jpeg, write_lab, write_video
 

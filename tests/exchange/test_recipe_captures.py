@@ -414,7 +414,7 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px\n77,1,1,1\n")
     for words, message in (
         ("fots --recipe fots-gelsight --circles mine.csv", "77 is not a press of fots"),
-        ("fots", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
+        ("", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
         ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4, for 5 presses"),
     ):
         failed = finray(f"import captures {words} --out no")

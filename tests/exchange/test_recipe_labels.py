@@ -9,6 +9,7 @@ import pytest
 
 from data_schemas import ImportFormatError
 from finray_calib.exchange import Recipe, read_by_recipe
+from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import eight_bits
 from tests.exchange.recipe_folders import BALL_PX, CONTACT_PX, PLACES, grasp
 from tests.exchange.test_other_layouts import PRESSES, SIXTEEN, UNTOUCHED, put
@@ -110,7 +111,7 @@ def test_a_map_of_depths_gives_contact_and_depth(tmp_path, kind):
     ("change", "text", "message"),
     [
         (lambda depth: depth[::2, ::2], "", r"map0\.npy: is 80 x 60 px, and the picture of 0 160 x 120 px; a map must"),
-        (lambda depth: np.where(depth > 0.1, np.nan, depth), "", r"map0\.npy: 5\.2 % of its values are not finite; fill"),
+        (lambda depth: np.where(depth > 0.1, np.nan, depth), "", r"map0\.npy: 5\.2 % of its values are not finite"),
         (lambda depth: -depth, "", r"nowhere above 0 .*: where values fall as the gel is pressed in, mm_per_v"),
         (lambda depth: depth / 1000.0, "", r"contact\.depth_map: the median depth of 5 presses is 0\.000458 mm, .*mm_"),
         (lambda depth: np.dstack([depth, depth / 2.0]), "", r"one value per pixel, got the shape \(120, 160, 2\)"),
@@ -281,3 +282,30 @@ def test_a_coded_video_is_read_as_a_motion_jpeg_one(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"\0" * 5000)
     with pytest.raises(ImportFormatError, match=r"a\.mp4: cannot be decoded as a video; convert the video: ffmpeg"):
         read_by_recipe(tmp_path, told(text))
+
+
+def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_reads_it(tmp_path, monkeypatch):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / "set" / f"ball_{k % 2}" / f"p{k}_z0.{k}.png", image)
+    put(tmp_path / "set" / "background.png", UNTOUCHED)
+    (tmp_path / "set" / "labels.csv").write_text("image,x,y\np0_z0.0.png,1,2\n")
+    np.savez(tmp_path / "set" / "more.npz", forces=np.arange(5.0), odd=np.array([{}], dtype=object))
+    (tmp_path / "set" / "about.json").write_text('{"sensor": {"px_per_mm": 10}}')
+    (tmp_path / "set" / "broken.jpg").write_bytes(b"none")
+    monkeypatch.chdir(tmp_path)
+    said = succeed("import captures set")
+    assert "5 x ball_{a}/p{b}_z{c}.png: picture of 160 x 120 px, uint8, colour" in said
+    assert "1 x labels.csv: table of 1 lines: image, x, y" in said
+    assert "1 x more.npz: arrays: forces (5,) float64, odd (pickled, never read)" in said
+    assert "1 x about.json: object of 1 keys: sensor.px_per_mm" in said
+    assert "1 x broken.jpg: is neither PNG nor JPEG" in said
+    assert "background.png" in (tmp_path / "set.recipe.toml").read_text()
+    succeed("import captures set --recipe set.recipe.toml --out found")
+    assert len(list((tmp_path / "found").glob("*.capture.json"))) == 5
+    assert "exists already" in finray("import captures set").err
+    for folder, message in (
+        ("nowhere", "nowhere: no such folder or zip archive"),
+        ("found/x", "found/x: no such folder"),
+    ):
+        failed = finray(f"import captures {folder} --out new.toml")
+        assert (failed.status, message in failed.err) == (2, True)

@@ -1,9 +1,15 @@
-"""Pictures of other labs: PNG, JPEG, OpenEXR, arrays; frames of videos, and which of them hold the contact."""
+"""Files of sets of presses: pictures, arrays, tables, frames of videos with those that hold the contact.
 
+Also what a folder of such files holds, for those who write a recipe.
+"""
+
+import json
 import os
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -13,16 +19,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError
-from data_schemas.storage import has_file, parse_in_child, read_bytes, read_npy
+from data_schemas.storage import (
+    files_below,
+    folder_at,
+    has_file,
+    parse_in_child,
+    parse_json,
+    read_bytes,
+    read_csv,
+    read_json,
+    read_npy,
+    read_text,
+)
 from finray_calib.exchange._ball_presses import read_npz
 from finray_calib.exchange._paint_reradiation import exr_pixels
 from rigs.cameras import decoded_picture
 
 Floats = NDArray[np.float64]
 
-#: In which frames may be coded in any way; they are decoded in a process of its own.
-CODED_VIDEOS: Final = (".mp4", ".m4v", ".mov", ".mkv", ".webm")
-VIDEOS: Final = (".avi", *CODED_VIDEOS)
+VIDEOS: Final = (".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm")
 _MOST_DECODED_BYTES = 512 << 20
 LARGEST_VIDEO_BYTES = 512 << 20
 MOST_FRAMES = 20_000
@@ -39,9 +54,9 @@ def video_frames(path: Path) -> list[bytes]:
     ImportFormatError
         The file is missing, its frames cannot be decoded, or there are too many.
     """
-    if path.suffix.lower() not in CODED_VIDEOS:
-        return motion_jpeg_frames(path)
     content = read_bytes(path, "a video", ImportFormatError, LARGEST_VIDEO_BYTES)
+    if (frames := _motion_jpeg_frames(content, path)) is not None:
+        return frames
     _, found = parse_in_child(f"{__name__}:decoded_video", content, path, "a video", ImportFormatError)
     ends = np.cumsum(found["sizes"])
     whole = found["frames"].tobytes()
@@ -72,26 +87,17 @@ def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
     return None, {"frames": np.concatenate(frames), "sizes": sizes}
 
 
-def motion_jpeg_frames(path: Path) -> list[bytes]:
-    """Return the JPEG bytes of every frame of an AVI file, in order.
-
-    Raises
-    ------
-    ImportFormatError
-        The file is missing, no AVI, its frames are no JPEG pictures, or there are too many.
-    """
-    content = read_bytes(path, "a Motion-JPEG video (AVI)", ImportFormatError, LARGEST_VIDEO_BYTES)
+def _motion_jpeg_frames(content: bytes, path: Path) -> list[bytes] | None:
+    """Return the JPEG bytes of every frame of an AVI file, in order; None where it is none, or its frames are not."""
     if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
-        raise ImportFormatError(f"{path}: is not an AVI video; {CONVERT_VIDEO}")
+        return None
     frames: list[bytes] = []
     for part in _video_parts(content, 0, len(content), 0):
         # a frame without content is one that was dropped: the one before it is shown again
         frames += [part] if part else frames[-1:]
     if not frames or len(frames) > MOST_FRAMES:
         raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
-    if not all(frame.startswith(b"\xff\xd8") for frame in frames):
-        raise ImportFormatError(f"{path}: its frames are not JPEG pictures (Motion JPEG); {CONVERT_VIDEO}")
-    return frames
+    return frames if all(frame.startswith(b"\xff\xd8") for frame in frames) else None
 
 
 def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
@@ -462,3 +468,185 @@ def exr_rgb(path: Path) -> Floats:
     if image.ndim != 3 or not np.isfinite(image).all():
         raise ImportFormatError(f"{path}: holds values that are not finite; render it again")
     return np.maximum(image, 0.0)
+
+
+_TABLES: Final = (".jsonl", ".ndjson")
+
+
+def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
+    kind = path.suffix.lower()
+    if kind not in (".json", *_TABLES):
+        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
+        return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
+    if kind == ".json":
+        whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
+        if isinstance(whole, dict):  # such as { "version": 1, "presses": [ ... ] }
+            lists = [of for of in whole.values() if isinstance(of, list) and of and isinstance(of[0], dict)]
+            whole = lists[0] if len(lists) == 1 else whole
+    else:
+        text = read_text(path, "labels (JSON lines)", ImportFormatError)
+        said = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+        whole = [
+            parse_json(line.encode(), f"{path}, line {number}", ImportFormatError, any_number=True)
+            for number, line in said
+        ]
+    if not isinstance(whole, list) or not all(isinstance(of, dict) for of in whole):
+        raise ImportFormatError(f"{path}: must be a list of objects, [{{ ... }}, ...], with one for each press")
+    rows = [{key: _cell(value) for key, value in _flat(of)} for of in whole]
+    return list(dict.fromkeys(key for row in rows for key in row)), rows
+
+
+def _cell(value: object) -> str:
+    """Return a value of a JSON file as the cell of a table."""
+    return value if isinstance(value, str) else "" if value is None or isinstance(value, bool) else repr(value)
+
+
+def _flat(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield key and value of an object and of all in it: outer.inner, and list[0] of lists."""
+    inside = list(whole.items())
+    for key, value in inside:  # grows while it is read
+        if isinstance(value, dict):
+            inside += [(f"{key}.{inner}", of) for inner, of in value.items()]
+        elif isinstance(value, list):
+            inside += [(f"{key}[{k}]", of) for k, of in enumerate(value)]
+        else:
+            yield key, value
+
+
+@dataclass(frozen=True, slots=True)
+class FolderSurvey:
+    """What a folder of files that no recipe reads yet holds, a line for each kind, and the start of a recipe for it."""
+
+    lines: tuple[str, ...]
+    recipe: str
+
+
+_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".npy")
+_NO_CONTACT: Final = re.compile(
+    r"(^|[^a-z])(bg|background|ref|reference|rest|flat|empty|no_?contact|no_?touch|init)", re.I
+)
+_GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
+_RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
+_MOST_SURVEYED = 20_000
+_RECIPE_START: Final = """\
+name = "mine"
+what = "DESCRIBE: what was pressed, with which sensor, by whom"
+# licence = "CC BY 4.0"
+
+[presses]
+files = {files}
+
+[picture]
+channels = "RGB"              # "BGR" where red and blue are exchanged
+
+[no_contact]
+{no_contact}
+
+[contact]                     # better: circle, outline or depth_map of the files below
+search = "circle"
+
+# [scale]
+# mm_per_px = 0.05
+
+[indenter]
+shape = "ball"                # or cylinder, cuboid, mesh
+# diameter_mm = 4.0
+# depth_mm = "{{depth}}"        # a part of the name, or a column
+
+# what else lies in the folder:
+{rest}
+"""
+
+
+def survey_folder(folder: Path) -> FolderSurvey:
+    """Say what a folder of another lab holds, and write the start of a recipe for it.
+
+    Files whose names differ in their numbers only are one kind. Those with the most pictures are taken for the presses;
+    a picture whose name says so, for the one without contact. Nothing else is guessed.
+
+    Parameters
+    ----------
+    folder
+        Of the set, or a zip archive of it.
+
+    Raises
+    ------
+    ImportFormatError
+        There is no such folder, or no file in it.
+    """
+    inside = folder_at(folder, ImportFormatError)
+    if inside is None:
+        raise ImportFormatError(f"{folder}: no such folder or zip archive; give the folder of the set")
+    kinds: dict[str, list[str]] = {}
+    for path in sorted(islice(files_below(inside), _MOST_SURVEYED)):
+        name = path.relative_to(inside).as_posix()
+        if not path.name.startswith("."):
+            kinds.setdefault(_RUN_OF_DIGITS.sub("#", name), []).append(name)
+    if not kinds:
+        raise ImportFormatError(f"{folder}: holds no file; give the folder of the set")
+    ordered = sorted(kinds.values(), key=len, reverse=True)
+    lines = [f"{len(names)} x {_pattern(names)}: {_content(inside / names[0])}" for names in ordered[:_GROUPS_SHOWN]]
+    if len(ordered) > _GROUPS_SHOWN:
+        lines.append(f"and {len(ordered) - _GROUPS_SHOWN} more kinds of files")
+    pictures = [names for names in ordered if Path(names[0]).suffix.lower() in (*_PICTURES, *VIDEOS)]
+    touched = [names for names in pictures if not _NO_CONTACT.search(Path(names[0]).stem)] or pictures
+    untouched = [names[0] for names in pictures if _NO_CONTACT.search(Path(names[0]).stem)]
+    files = _pattern(touched[0]) if touched else "{press}.png"
+    if len(touched) > 1 and len(touched[0]) == 1:  # names without numbers
+        first = Path(touched[0][0])
+        files = (first.parent / f"{{press}}{first.suffix}").as_posix()
+    rest = (
+        f"file = {json.dumps(untouched[0])}"
+        if untouched
+        else "median_of_presses = true      # a substitute: better name a file"
+    )
+    if Path(files).suffix.lower() in VIDEOS:
+        rest = "frames_before = 10"
+    return FolderSurvey(
+        tuple(lines),
+        _RECIPE_START.format(files=json.dumps(files), no_contact=rest, rest="\n".join(f"# {line}" for line in lines)),
+    )
+
+
+def _pattern(names: Sequence[str]) -> str:
+    """Return the pattern of names that differ in their numbers: {press}, or {a}, {b}, ... where several do."""
+    numbers = np.array([_RUN_OF_DIGITS.findall(name) for name in names])
+    between = _RUN_OF_DIGITS.split(names[0])
+    differ = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
+    words = (
+        dict(zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False))
+        if len(differ) > 1
+        else dict.fromkeys(differ, "press")
+    )
+    held = [f"{{{words[k]}}}" if k in words else numbers[0, k] for k in range(numbers.shape[1])]
+    return "".join(part + number for part, number in zip(between, [*held, ""], strict=True))
+
+
+def _content(path: Path) -> str:
+    """Return what a file of a set holds, in words; what cannot be read says why not."""
+    kind = path.suffix.lower()
+    try:
+        if kind == ".json" and isinstance(
+            whole := read_json(path, "labels (JSON)", ImportFormatError, any_number=True), dict
+        ):
+            if not any(isinstance(of, list) and of and isinstance(of[0], dict) for of in whole.values()):
+                keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
+                return f"object of {len(whole)} keys: {', '.join(keys)}"
+        if kind in (".csv", *_TABLES, ".json"):
+            columns, rows = table_rows(path)
+            more = ", ..." if len(columns) > _KEYS_SHOWN else ""
+            return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"
+        if kind in (".npz", ".npy"):
+            arrays, pickled = ArrayFiles().of(path)
+            shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
+            return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
+        if kind in VIDEOS:
+            return f"video of {len(video_frames(path))} frames"
+        if kind in _PICTURES:
+            picture = exr_rgb(path) if kind == ".exr" else pixels_of(path)
+            colours = "grey" if picture.shape[2] == 1 else "colour"
+            return f"picture of {picture.shape[1]} x {picture.shape[0]} px, {picture.dtype}, {colours}"
+    except ImportFormatError as why:
+        return str(why).removeprefix(f"{path}: ")
+    return "not read"
