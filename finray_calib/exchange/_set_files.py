@@ -523,9 +523,7 @@ class FolderSurvey:
 
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".npy")
-_NO_CONTACT: Final = re.compile(
-    r"(^|[^a-z])(bg|background|ref|reference|rest|flat|empty|no_?contact|no_?touch|init)", re.I
-)
+_NO_CONTACT: Final = re.compile(r"(^|[^a-z])(bg|background|ref|rest|flat|empty|no_?contact|no_?touch|init)", re.I)
 _GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
 _RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
 _MOST_SURVEYED = 20_000
@@ -596,13 +594,11 @@ def survey_folder(folder: Path) -> FolderSurvey:
     if len(touched) > 1 and len(touched[0]) == 1:  # names without numbers
         first = Path(touched[0][0])
         files = (first.parent / f"{{press}}{first.suffix}").as_posix()
-    rest = (
-        f"file = {json.dumps(untouched[0])}"
-        if untouched
-        else "median_of_presses = true      # a substitute: better name a file"
-    )
+    rest = "median_of_presses = true      # a substitute: better name a file"
     if Path(files).suffix.lower() in VIDEOS:
         rest = "frames_before = 10"
+    elif untouched:
+        rest = f"file = {json.dumps(untouched[0])}"
     return FolderSurvey(
         tuple(lines),
         _RECIPE_START.format(files=json.dumps(files), no_contact=rest, rest="\n".join(f"# {line}" for line in lines)),
@@ -614,11 +610,9 @@ def _pattern(names: Sequence[str]) -> str:
     numbers = np.array([_RUN_OF_DIGITS.findall(name) for name in names])
     between = _RUN_OF_DIGITS.split(names[0])
     differ = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
-    words = (
-        dict(zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False))
-        if len(differ) > 1
-        else dict.fromkeys(differ, "press")
-    )
+    words = dict.fromkeys(differ, "press")
+    if len(differ) > 1:
+        words = dict(zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False))
     held = [f"{{{words[k]}}}" if k in words else numbers[0, k] for k in range(numbers.shape[1])]
     return "".join(part + number for part, number in zip(between, [*held, ""], strict=True))
 
@@ -627,12 +621,10 @@ def _content(path: Path) -> str:
     """Return what a file of a set holds, in words; what cannot be read says why not."""
     kind = path.suffix.lower()
     try:
-        if kind == ".json" and isinstance(
-            whole := read_json(path, "labels (JSON)", ImportFormatError, any_number=True), dict
-        ):
-            if not any(isinstance(of, list) and of and isinstance(of[0], dict) for of in whole.values()):
-                keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
-                return f"object of {len(whole)} keys: {', '.join(keys)}"
+        whole = read_json(path, "labels", ImportFormatError, any_number=True) if kind == ".json" else None
+        if isinstance(whole, dict) and not any(isinstance(of, list) for of in whole.values()):
+            keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
+            return f"object of {len(whole)} keys: {', '.join(keys)}"
         if kind in (".csv", *_TABLES, ".json"):
             columns, rows = table_rows(path)
             more = ", ..." if len(columns) > _KEYS_SHOWN else ""

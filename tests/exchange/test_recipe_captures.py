@@ -374,9 +374,9 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "is not an AVI video; convert the video: ffmpeg"),
+        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video: ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
-        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are not JPEG pictures"),
+        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "cannot be decoded as a video"),
     ],
 )
 def test_files_that_are_no_motion_jpeg_are_refused(tmp_path, content, message):

@@ -303,9 +303,5 @@ def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_rea
     succeed("import captures set --recipe set.recipe.toml --out found")
     assert len(list((tmp_path / "found").glob("*.capture.json"))) == 5
     assert "exists already" in finray("import captures set").err
-    for folder, message in (
-        ("nowhere", "nowhere: no such folder or zip archive"),
-        ("found/x", "found/x: no such folder"),
-    ):
-        failed = finray(f"import captures {folder} --out new.toml")
-        assert (failed.status, message in failed.err) == (2, True)
+    failed = finray("import captures nowhere --out new.toml")
+    assert (failed.status, "nowhere: no such folder or zip archive" in failed.err) == (2, True)
