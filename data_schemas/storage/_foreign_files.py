@@ -64,6 +64,7 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+\s*)$")
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -456,6 +457,7 @@ def read_csv(
     error: type[FinrayError] = RecordError,
     comments: bool = False,
     skip_space: bool = False,
+    other_marks: bool = False,
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Read a CSV file with a header row.
 
@@ -467,6 +469,9 @@ def read_csv(
         Leave out lines that begin with ``#``.
     skip_space
         Leave out blanks behind a comma.
+    other_marks
+        Take semicolons or tabs for what separates columns where the header has one of them and no comma; the decimal
+        mark of numbers between semicolons may then be a comma.
 
     Returns
     -------
@@ -483,7 +488,9 @@ def read_csv(
     lines: Iterable[str] = io.StringIO(text, newline="")
     if comments:
         lines = ("\n" if line.startswith("#") else line for line in lines)
-    reader = csv.reader(lines, strict=True, skipinitialspace=skip_space)
+    first = text.lstrip().partition("\n")[0]
+    mark = next((m for m in ";\t" if other_marks and m in first and "," not in first), ",")
+    reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)
     rows: list[tuple[int, list[str]]] = []
     cells_in_all = 0
     try:
@@ -495,6 +502,8 @@ def read_csv(
                     f"give {what}"
                 )
             if any(cell.strip() for cell in cells):
+                if mark == ";":
+                    cells = [_COMMA_NUMBER.sub(r"\1.\2", cell) for cell in cells]
                 rows.append((reader.line_num, cells))
     except csv.Error as fault:
         raise error(

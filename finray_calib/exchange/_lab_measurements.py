@@ -177,7 +177,7 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     return np.asarray(image)
 
 
-_MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+(?:\s*,\s*\d+)*)\])?$")
+_MEMBER = re.compile(r"^(?P<name>.*?)(?:\[(?P<index>\d+(?:\s*,\s*\d+)*)\])?$")
 PICKLED = (".pkl", ".pickle")
 
 
@@ -276,7 +276,7 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
 
 def label_column(path: Path, column: str | None) -> list[str]:
     """Return the cells of a column."""
-    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True)
+    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True, other_marks=True)
     if column not in columns:
         raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
     at = columns.index(column)
@@ -329,6 +329,8 @@ def _json_number(path: Path, name: str, at: Sequence[int]) -> float:
     if name not in found:
         raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)[:40]) or 'nothing'}")
     value = found[name]
+    if len(at) == 1 and isinstance(value, list) and all(isinstance(row, list) and row for row in value):
+        value = [entry for row in value for entry in row]  # of a matrix as of an array: row by row
     for k in at or ([0] if isinstance(value, list) and value else []):
         entries = value if isinstance(value, list) else [value]
         if k >= len(entries) or (not at and len(entries) > 1):

@@ -477,7 +477,7 @@ def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
     kind = path.suffix.lower()
     if kind not in (".json", *_TABLES):
-        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
+        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True)
         return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
     if kind == ".json":
         whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
@@ -625,7 +625,7 @@ def _content(path: Path) -> str:
         if isinstance(whole, dict) and not any(isinstance(of, list) for of in whole.values()):
             keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
             return f"object of {len(whole)} keys: {', '.join(keys)}"
-        if kind in (".csv", *_TABLES, ".json"):
+        if kind in (".csv", ".tsv", *_TABLES, ".json"):
             columns, rows = table_rows(path)
             more = ", ..." if len(columns) > _KEYS_SHOWN else ""
             return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"

@@ -148,19 +148,34 @@ BY_MATRIX = f"matrix = {json.dumps([f'm{k}' for k in range(16)])}\n"
 def poses(folder, change=lambda row: row):
     """A tool that is turned by k times 3 deg about x, and pressed in by 0.3 mm and more, at 12 mm and more."""
     lines = [",".join(["image", "x", "y", "z", "qw", "qx", "qy", "qz", *(f"m{k}" for k in range(16))])]
+    matrices = []
     for k in range(5):
         half = np.radians(3.0 * k) / 2.0
         place = (0.5, (12.0 + k) / 1000.0, (50.0 - 0.3 - 0.1 * k) / 1000.0)
         cosine, sine = np.cos(2.0 * half), np.sin(2.0 * half)
         matrix = [1, 0, 0, place[0], 0, cosine, -sine, place[1], 0, sine, cosine, place[2], 0, 0, 0, 1]
         lines.append(",".join(map(str, [f"{k}.png", *change([*place, np.cos(half), np.sin(half), 0, 0, *matrix])])))
+        (folder / f"{k}.json").write_text(json.dumps({"T": np.reshape(matrix, (4, 4)).tolist()}))
+        matrices.append(np.reshape(matrix, (4, 4)))
+    np.savez(folder / "poses.npz", T=matrices)
     (folder / "poses.csv").write_text("\n".join(lines))
     return numbered(folder)
 
 
-@pytest.mark.parametrize("columns", [BY_COLUMNS, BY_MATRIX], ids=["quaternion", "matrix"])
-def test_poses_give_depth_place_and_tilt(tmp_path, columns):
-    found = read_by_recipe(poses(tmp_path), told(POSED + columns)).captures
+@pytest.mark.parametrize(
+    ("file", "columns"),
+    [
+        ("poses.csv", BY_COLUMNS),
+        ("poses.csv", BY_MATRIX),
+        ("poses.npz", 'matrix = "T[{press}]"'),
+        ("{press}.json", 'matrix = "T"'),
+    ],
+)
+def test_poses_give_depth_place_and_tilt(tmp_path, file, columns):
+    text = POSED + columns
+    if file != "poses.csv":
+        text = text.replace("poses.csv", file).replace('press = "image"\n', "")
+    found = read_by_recipe(poses(tmp_path), told(text)).captures
     for k, capture in enumerate(found.values()):
         pose = capture.indenter
         assert (pose.depth_mm, pose.position_mm, pose.tilt_deg) == pytest.approx((0.3 + 0.1 * k, 2.0 + k, 3.0 * k))
@@ -246,6 +261,19 @@ def test_tables_of_json_with_inner_keys_are_read(tmp_path, kind):
         tmp_path, told(NUMBERED + f'[contact]\nfile = "{kind}"\npress = "file.name"\n{circle}')
     ).captures
     assert [(c.contact_circle.row_px, c.contact_circle.column_px) for c in found.values()] == PLACES
+
+
+@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", "."), (",", ".")])
+def test_tables_with_other_marks_are_read(tmp_path, mark, point):
+    """As spreadsheets of countries with decimal commas export them."""
+    lines = ["image,x,y,r", *(f"{k}.png,{column:.2f},{row:.2f},20.5" for k, (row, column) in enumerate(PLACES))]
+    other = [lines[0].replace(",", mark), *(line.replace(",", mark).replace(".png", "#") for line in lines[1:])]
+    text = "\n".join([other[0], *(line.replace(".", point).replace("#", ".png") for line in other[1:])])
+    (numbered(tmp_path) / "t.csv").write_text(text)
+    circle = 'circle = { column_px = "x", row_px = "y", radius_px = "r" }'
+    found = read_by_recipe(tmp_path, told(NUMBERED + f'[contact]\nfile = "t.csv"\npress = "image"\n{circle}')).captures
+    circles = [c.contact_circle for c in found.values()]
+    assert [(c.row_px, c.column_px, c.radius_px) for c in circles] == [(*place, 20.5) for place in PLACES]
 
 
 def test_the_force_of_the_nearest_time_is_taken_and_a_distant_one_is_not(tmp_path):
