@@ -488,8 +488,7 @@ def read_csv(
     lines: Iterable[str] = io.StringIO(text, newline="")
     if comments:
         lines = ("\n" if line.startswith("#") else line for line in lines)
-    first = text.lstrip().partition("\n")[0]
-    mark = next((m for m in ";\t" if other_marks and m in first and "," not in first), ",")
+    mark = _mark_between_columns(text) if other_marks else ","
     reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)
     rows: list[tuple[int, list[str]]] = []
     cells_in_all = 0
@@ -502,9 +501,8 @@ def read_csv(
                     f"give {what}"
                 )
             if any(cell.strip() for cell in cells):
-                if mark == ";":
-                    cells = [_COMMA_NUMBER.sub(r"\1.\2", cell) for cell in cells]
-                rows.append((reader.line_num, cells))
+                points = [_COMMA_NUMBER.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells
+                rows.append((reader.line_num, points))
     except csv.Error as fault:
         raise error(
             f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
@@ -522,6 +520,12 @@ def read_csv(
     if twice is not None:
         raise error(f"{path}: the column {twice!r} occurs twice in the header; remove one")
     return header, rows[1:]
+
+
+def _mark_between_columns(text: str) -> str:
+    """Return what separates the columns of a header: a semicolon or tab where it has one and no comma."""
+    header = text.lstrip().partition("\n")[0]
+    return next((mark for mark in ";\t" if mark in header and "," not in header), ",")
 
 
 def finite_number(text: str) -> float:
