@@ -141,7 +141,7 @@ class RecipeDepthMap(Model):
     """A map of depths or heights for each press, in the pixels of its picture."""
 
     file: Pattern = Field(description="path within the folder: PNG, TIFF, OpenEXR, npy, or FILE.npz::ARRAY")
-    mm_per_value: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(
+    value_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(
         description="millimetres in 1 of the file's values; below 0 where values fall as the gel is pressed in"
     )
     rest_file: Pattern | None = Field(
@@ -153,8 +153,8 @@ class RecipeDepthMap(Model):
 
     @model_validator(mode="after")
     def _values_have_a_size(self) -> "RecipeDepthMap":
-        if self.mm_per_value == 0.0:
-            raise ValueError("mm_per_value must not be 0; give the millimetres in 1 of the file's values")
+        if self.value_mm == 0.0:
+            raise ValueError("value_mm must not be 0; give the millimetres in 1 of the file's values")
         return self
 
 

@@ -221,7 +221,7 @@ class LabelTable:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None
 
-    def nearest(self, path: Path, to: RecipeNearest, at: float) -> dict[str, str]:
+    def nearest(self, path: Path, to: RecipeNearest, value: float) -> dict[str, str]:
         """Return the line whose time is nearest to that of a press.
 
         Raises
@@ -233,7 +233,7 @@ class LabelTable:
             times = np.array([finite_number(row.get(to.column, "")) for row in self.rows])
         except ValueError as error:
             raise ImportFormatError(f"{path}: every {to.column} must be a number: {error}") from None
-        apart = np.abs(times - at * to.factor)
+        apart = np.abs(times - value * to.factor)
         if not apart.size or apart.min() > to.within:
             raise LeftOutError(f"no line of {path.name} lies within {to.within:g} of its time")
         return dict.fromkeys(self.columns, "") | self.rows[int(np.argmin(apart))]
@@ -544,7 +544,7 @@ class PressLabels:
                     f"{path}: is {maps[-1].shape[1]} x {maps[-1].shape[0]} px, and the picture of {name} {shape[1]} x "
                     f"{shape[0]} px; a map must have the pixels of its picture: scale it to them"
                 )
-        return (maps[0] - (maps[1] if len(maps) > 1 else 0.0)) * source.mm_per_value
+        return (maps[0] - (maps[1] if len(maps) > 1 else 0.0)) * source.value_mm
 
 
 #: Numbers of tables are often rounded to two digits.

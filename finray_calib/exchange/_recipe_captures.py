@@ -548,7 +548,7 @@ class _Folder:
         if not deepest > 0.0:
             raise LeftOutError(
                 f"its map of depths is nowhere above 0 ({depths.min():.3g} to {deepest:.3g} mm): where values fall as "
-                "the gel is pressed in, mm_per_value is below 0"
+                "the gel is pressed in, value_mm is below 0"
             )
         least = source.least_depth_mm or LEAST_DEPTH_SHARE * deepest
         circle, corners = contact_of_depths(depths, least) if deepest > least else (None, ())
@@ -660,9 +660,7 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
     if recipe.indenter.depth_mm is None:
         by_map = recipe.contact is not None and recipe.contact.depth_map is not None
         told = "contact.depth_map" if by_map else "indenter.pose"
-        remedy = "If its values are in another unit, correct " + (
-            "mm_per_value" if by_map else "unit and first_touch_mm"
-        )
+        remedy = "If its values are in another unit, correct " + ("value_mm" if by_map else "unit and first_touch_mm")
     raise ImportFormatError(
         f"recipe '{recipe.name}', {told}: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
         f"{why}. {remedy}; else correct the depths, the scale or the ball's diameter"

@@ -356,7 +356,7 @@ def map_of(path: Path, arrays: ArrayFiles) -> Floats:
         )
     if not np.isfinite(values).all():
         raise ImportFormatError(
-            f"{path}: {100 * (~np.isfinite(values)).mean():.2g} % of its values are not finite; fill them, or name the "
+            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are not finite; fill them, or name the "
             "press in presses.leave_out"
         )
     return values.astype(np.float64)
