@@ -64,6 +64,7 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+\s*)$")
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -456,6 +457,7 @@ def read_csv(
     error: type[FinrayError] = RecordError,
     comments: bool = False,
     skip_space: bool = False,
+    other_marks: bool = False,
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Read a CSV file with a header row.
 
@@ -467,6 +469,9 @@ def read_csv(
         Leave out lines that begin with ``#``.
     skip_space
         Leave out blanks behind a comma.
+    other_marks
+        Take semicolons or tabs for what separates columns where the header has one of them and no comma; the decimal
+        mark of numbers between semicolons may then be a comma.
 
     Returns
     -------
@@ -483,7 +488,8 @@ def read_csv(
     lines: Iterable[str] = io.StringIO(text, newline="")
     if comments:
         lines = ("\n" if line.startswith("#") else line for line in lines)
-    reader = csv.reader(lines, strict=True, skipinitialspace=skip_space)
+    mark = _mark_between_columns(text) if other_marks else ","
+    reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)
     rows: list[tuple[int, list[str]]] = []
     cells_in_all = 0
     try:
@@ -495,7 +501,8 @@ def read_csv(
                     f"give {what}"
                 )
             if any(cell.strip() for cell in cells):
-                rows.append((reader.line_num, cells))
+                points = [_COMMA_NUMBER.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells
+                rows.append((reader.line_num, points))
     except csv.Error as fault:
         raise error(
             f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
@@ -513,6 +520,12 @@ def read_csv(
     if twice is not None:
         raise error(f"{path}: the column {twice!r} occurs twice in the header; remove one")
     return header, rows[1:]
+
+
+def _mark_between_columns(text: str) -> str:
+    """Return what separates the columns of a header: a semicolon or tab where it has one and no comma."""
+    header = text.lstrip().partition("\n")[0]
+    return next((mark for mark in ";\t" if mark in header and "," not in header), ",")
 
 
 def finite_number(text: str) -> float:

@@ -404,6 +404,8 @@ contact, without contact, and its repeat are taken. Contact circles that the set
 gets a capture of each press, a picture of all contacts to check (contacts.png), and circles.csv. If a circle is wrong,
 correct circles.csv and import again with --circles.
 
+Without --recipe, the command says what the folder holds and writes the start of a recipe for it (OUT ends in .toml).
+
 With --predict-from N, N presses spread over the set train a look-up table. What the table predicts of each other press
 is stored beside its capture, and 'finray compare OUT OUT' then scores these predictions as a yardstick for simulators.
 Files with pickled objects are never opened."""
@@ -419,7 +421,7 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument(
         "folder", type=Path, nargs="?", metavar="FOLDER", help="folder of the set, or a zip archive of it"
     )
-    parser.add_argument("--recipe", metavar="NAME|FILE", help="recipe by which the folder is read; required")
+    parser.add_argument("--recipe", metavar="NAME|FILE", help="recipe by which the folder is read")
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
@@ -451,10 +453,13 @@ def run_captures(arguments: argparse.Namespace) -> None:
         say(_recipes(recipe_names()))
         return
     folder: Path | None = arguments.folder
-    if folder is None or arguments.recipe is None:
+    if folder is None:
         raise ImportFormatError(
             f"give FOLDER and --recipe NAME|FILE; recipes that come with finray: {', '.join(recipe_names())}"
         )
+    if arguments.recipe is None:
+        _survey(folder, arguments.out)
+        return
     recipe, recipe_file = _recipe(arguments)
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.captures"))
     circles = {} if arguments.circles is None else read_circles(arguments.circles)
@@ -485,6 +490,21 @@ def run_captures(arguments: argparse.Namespace) -> None:
         products.add(out / CONTACTS, sheet.png())
         products.add(out / CIRCLES, sheet.circles_csv().encode())
     _tell(out, told, found.left_out, predicted)
+
+
+def _survey(folder: Path, out: Path | None) -> None:
+    """Say what a folder holds, and write the start of a recipe."""
+    from data_schemas.storage import write_bytes
+    from finray_calib.exchange import survey_folder
+
+    out = require_new(out or Path(f"{folder.resolve().name.removesuffix('.zip')}.recipe.toml"), ".toml")
+    found = survey_folder(folder)
+    write_bytes(out, found.recipe.encode())
+    wrote(out, "the start of a recipe: correct it")
+    give(files=list(found.lines))
+    for line in found.lines:
+        say(f"  {line}")
+    suggest_command("finray import captures", folder, "--recipe", out)
 
 
 class _Names:

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
         write_picture_folder,
     )
     from finray_calib.exchange._session_frames import SessionFrames, read_session_frames
+    from finray_calib.exchange._set_files import FolderSurvey, survey_folder
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -78,6 +79,7 @@ __all__ = [
     "PARAMETERS",
     "CaptureContainer",
     "ExportOptions",
+    "FolderSurvey",
     "ImportFormat",
     "PaintSpectra",
     "PlannedView",
@@ -122,6 +124,7 @@ __all__ = [
     "record_dataset",
     "study_dataset",
     "study_netcdf",
+    "survey_folder",
     "taxim_files",
     "vtu_bytes",
     "with_sizes",

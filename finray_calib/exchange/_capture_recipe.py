@@ -1,13 +1,12 @@
 """Recipes: how another lab's folder of presses is read, as a short TOML file.
 
-A recipe says which files are the presses, where the image without contact is, which columns or arrays hold the contact,
-the scale with its unit, and what was pressed. Those of public sets come with the program; a file of your own is read by
-the same rules. Here are also the tables and arrays of labels that a recipe names.
+A recipe says which files are the presses, where the image without contact is, which parts of a name, columns or arrays
+hold the contact, the scale with its unit, and what was pressed. Those of public sets come with the program; a file of
+your own is read by the same rules.
 """
 
 import re
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import islice
@@ -20,26 +19,32 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import ImportFormatError, MissingPart, Model, explain
-from data_schemas.storage import files_below, has_file, read_csv, read_json, read_toml_tables
-from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, read_npz, require_length
-from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
+from data_schemas.storage import files_below, has_file, read_toml_tables
+from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, require_length
 
 Floats = NDArray[np.float64]
 
 RECIPES: Final = Path(__file__).parent / "recipes"
 PRESS: Final = "{press}"
 GROUP: Final = "{group}"
+#: Stands for a part of a file's name; what it stood for may be a number, or part of another file's name.
+PLACEHOLDER: Final = re.compile(r"\{([a-z_][a-z0-9_]*)\}")
+#: Between a file and the array in it: ``set.npz::images[{press}]``.
+ARRAY_IN: Final = "::"
 
 Pattern = Annotated[str, Field(min_length=1, max_length=300)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
-"""A number, or the column of a table or the array of an npz file that holds it; ``center[0]`` is an entry of one."""
+"""A number, or what holds it: a part of the press's name (``{depth}``), the column of a table, the key of a JSON file,
+or the array of an npz file; ``center[0]`` and ``centers[{press}, 0]`` are entries of one."""
 OfPress = dict[str, Positive] | Quantity
-"""The same, or a number for each press by its name."""
+"""The same, or a number for each press by its name, in which * may stand for any part."""
 Place = Annotated[float, Field(ge=0.0, le=1e6)]
 PlaceOfPress = dict[str, Place] | Annotated[str, Field(min_length=1, max_length=100)] | Place
 """The same of a place, which may be 0."""
+LengthUnit = Literal["mm", "cm", "m", "um"]
 Corner = tuple[float, float]
+Direction = tuple[float, float, float]
 Shape = tuple[int, int]
 
 
@@ -47,7 +52,8 @@ class RecipePresses(Model):
     """Which files are the presses."""
 
     files: Pattern = Field(
-        description="path within the folder; {press} stands for the name of the press, * for any part of a file's name"
+        description="path within the folder; {press} stands for the name of the press, {depth} or any other word for a "
+        "part that other keys use, * for any part of a file's name; set.npz::images[{press}] is an array of pictures"
     )
     only: Pattern = Field(default="*", description="which of these presses are read: their names, * for any part")
     leave_out: tuple[str, ...] = Field(default=(), description="names of presses that are not to be read")
@@ -59,7 +65,8 @@ class RecipePicture(Model):
     channels: Literal["RGB", "BGR"] = Field(default="RGB", description="BGR: red and blue are exchanged in the files")
     encoding: Literal["linear", "unknown"] = "unknown"
     full_scale: Positive | None = Field(
-        default=None, description="value of an OpenEXR image that is mapped to 65535, the largest stored value"
+        default=None,
+        description="value of an OpenEXR image, or of fractions in an array, that becomes 65535, the largest",
     )
     bit_depth: Literal[10, 12, 14, 16] | None = Field(
         default=None, description="bits of the camera's counts where files of 16 bits hold fewer, such as 12"
@@ -107,6 +114,50 @@ class RecipeNoContact(Model):
         return self
 
 
+class RecipeNearest(Model):
+    """By which time a line of a table belongs to a press."""
+
+    column: str = Field(description="column of the table that holds the time")
+    to: Annotated[str, Field(pattern=PLACEHOLDER)] = Field(description="time of the press in its name, such as {stamp}")
+    within: Positive = Field(description="how far both may be apart, in units of the column")
+    factor: Positive = Field(default=1.0, description="units of the column in one unit of the name's time")
+
+
+class RecipeLabels(Model):
+    """Where the numbers of a table, of another one, or of an npz or JSON file are."""
+
+    file: Pattern | None = Field(
+        default=None,
+        description="table (CSV, a JSON list, JSON lines) with one line for each press, or an npz or JSON file; its "
+        "path may have {press}",
+    )
+    press: str | None = Field(
+        default=None, description="column of the table that names the press: its file, or its folder"
+    )
+    nearest: RecipeNearest | None = Field(default=None, description="in place of press: the line of the nearest time")
+
+
+class RecipeDepthMap(Model):
+    """A map of depths or heights for each press, in the pixels of its picture."""
+
+    file: Pattern = Field(description="path within the folder: PNG, TIFF, OpenEXR, npy, or FILE.npz::ARRAY")
+    value_mm: Annotated[float, Field(ge=-1e6, le=1e6)] = Field(
+        description="millimetres in 1 of the file's values; below 0 where values fall as the gel is pressed in"
+    )
+    rest_file: Pattern | None = Field(
+        default=None, description="the map without contact, which is subtracted; without it, untouched gel is at 0"
+    )
+    least_depth_mm: Positive | None = Field(
+        default=None, description="the contact is where the map is deeper; by default 1 % of its largest depth"
+    )
+
+    @model_validator(mode="after")
+    def _values_have_a_size(self) -> "RecipeDepthMap":
+        if self.value_mm == 0.0:
+            raise ValueError("value_mm must not be 0; give the millimetres in 1 of the file's values")
+        return self
+
+
 class RecipeCircle(Model):
     """Columns of the contact circle."""
 
@@ -115,16 +166,9 @@ class RecipeCircle(Model):
     radius_px: Quantity
 
 
-class RecipeContact(Model):
-    """Where the contact is: exactly one of circle, outline, outline_px and search."""
+class RecipeContact(RecipeLabels):
+    """Where the contact is: exactly one of circle, outline, outline_px, depth_map and search."""
 
-    file: Pattern | None = Field(
-        default=None,
-        description="CSV table with one line for each press, or an npz or JSON file whose path has {press}",
-    )
-    press: str | None = Field(
-        default=None, description="column of the table that names the press: its file, or its folder"
-    )
     circle: RecipeCircle | None = None
     outline: tuple[str, ...] = Field(
         default=(), description="arrays of the npz file that hold corners (column, row); the contact is their hull"
@@ -132,16 +176,20 @@ class RecipeContact(Model):
     outline_px: dict[str, tuple[Corner, ...]] = Field(
         default={}, description="name of the press -> corners (column, row)"
     )
+    depth_map: RecipeDepthMap | None = None
     search: Literal["circle", "outline"] | None = Field(
         default=None, description="find it in the picture: the circle of a ball, or the region that changes most"
     )
 
     @model_validator(mode="after")
     def _one_source(self) -> "RecipeContact":
-        given = (self.circle is not None, bool(self.outline), bool(self.outline_px), self.search is not None)
-        if sum(given) != 1:
-            raise ValueError("give exactly one of circle, outline, outline_px and search")
-        if (self.circle is not None or self.outline) and self.file is None:
+        given = (self.circle, self.outline, self.outline_px, self.depth_map, self.search)
+        if sum(bool(source) for source in given) != 1:
+            raise ValueError("give exactly one of circle, outline, outline_px, depth_map and search")
+        named = self.circle is not None and all(
+            isinstance(value, float) or PLACEHOLDER.fullmatch(value) for _, value in self.circle
+        )
+        if (self.circle is not None or self.outline) and self.file is None and not named:
             raise ValueError("file: missing; the circle or outline is read from it")
         return self
 
@@ -170,19 +218,60 @@ class RecipeScale(Model):
         return self.mm_per_px if self.mm_per_px is not None else 1.0 / (self.px_per_mm or 1.0)
 
 
-LengthUnit = Literal["mm", "cm", "m", "um"]
-_Size = Literal["diameter_mm", "depth_mm", "position_mm"]
+_Size = Literal["diameter_mm", "radius_mm", "depth_mm", "position_mm"]
+_Shape = Literal["ball", "cylinder", "cuboid", "mesh"]
 
 
-class RecipeIndenter(Model):
+class RecipeQuaternion(Model):
+    """Columns of the four parts of a rotation, each by its name: no order is taken for granted."""
+
+    w: Quantity = Field(description="the real part, the cosine of half the angle")
+    x: Quantity
+    y: Quantity
+    z: Quantity
+
+
+class RecipePose(RecipeLabels):
+    """Where the indenter was: its depth, its place along the pad and its tilt follow from it."""
+
+    x: Quantity | None = None
+    y: Quantity | None = None
+    z: Quantity | None = None
+    quaternion: RecipeQuaternion | None = None
+    matrix: Annotated[tuple[Quantity, ...], Field(min_length=16, max_length=16)] | str | None = Field(
+        default=None,
+        description="in place of x, y, z and quaternion: 16 columns row by row, the place in the fourth of each row; "
+        "or an array of 4 x 4",
+    )
+    unit: LengthUnit = Field(description="unit of the place")
+    normal: Direction = Field(default=(0.0, 0.0, 1.0), description="direction out of the gel, in the pose's axes")
+    axis: Direction = Field(default=(0.0, 0.0, 1.0), description="the indenter's axis, in its own axes")
+    first_touch_mm: float | None = Field(
+        default=None, description="place along the normal at first touch; the depth is counted from it"
+    )
+    along: Direction | None = Field(default=None, description="direction along the pad from its base")
+    base_mm: float = Field(default=0.0, description="place of the pad's base along it")
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "RecipePose":
+        placed = sum(part is not None for part in (self.x, self.y, self.z))
+        if (self.matrix is None) != (placed == 3) or (self.matrix is not None and self.quaternion is not None):
+            raise ValueError("give x, y and z, with a quaternion where there is one, or matrix in their place")
+        if not all(any(way) for way in (self.normal, self.axis, self.along or self.normal)):
+            raise ValueError("normal, axis and along must not be [0, 0, 0]; give a direction")
+        return self
+
+
+class RecipeIndenter(RecipeLabels):
     """What was pressed in; sizes are numbers, or columns of the table (of this or, without one, of the contact's)."""
 
-    file: Pattern | None = None
-    press: str | None = None
-    shape: Literal["ball", "cylinder", "cuboid", "mesh"]
-    diameter_mm: Quantity | None = Field(
+    shape: _Shape | dict[str, _Shape] = Field(
+        description='one for all, or for each press by its name: { "ball*" = "ball", "edge*" = "cuboid" }'
+    )
+    diameter_mm: OfPress | None = Field(
         default=None, description="diameter of a ball or cylinder; width of other shapes"
     )
+    radius_mm: OfPress | None = Field(default=None, description="half of it, in its place")
     depth_mm: OfPress | None = Field(
         default=None, description="from first touch; a number, a column, or a number for each press: { name = 0.5 }"
     )
@@ -191,9 +280,10 @@ class RecipeIndenter(Model):
     position_uncertainty_mm: Positive | None = Field(default=None, description="standard uncertainty of the position")
     columns_in: LengthUnit | dict[_Size, LengthUnit] = Field(
         default="mm",
-        description="unit of the columns and arrays that hold diameter, depth and position; if their units differ, "
-        'the unit of each: { depth_mm = "m" }',
+        description="unit of the parts of names, columns and arrays that hold diameter, depth and position; if their "
+        'units differ, the unit of each: { depth_mm = "m" }',
     )
+    pose: RecipePose | None = Field(default=None, description="gives depth, position and tilt where they are not given")
     extruded_mm: Positive | None = Field(
         default=None,
         description="height of the solid that is extruded from the hull of the contact's outline and written as STL "
@@ -202,10 +292,13 @@ class RecipeIndenter(Model):
 
     @model_validator(mode="after")
     def _uncertainties_have_a_value(self) -> "RecipeIndenter":
+        if self.diameter_mm is not None and self.radius_mm is not None:
+            raise ValueError("diameter_mm and radius_mm say the same; leave one of them out")
         for name in ("depth", "position"):
-            if getattr(self, f"{name}_uncertainty_mm") is not None and getattr(self, f"{name}_mm") is None:
+            known = getattr(self, f"{name}_mm") is not None or self.pose is not None
+            if getattr(self, f"{name}_uncertainty_mm") is not None and not known:
                 raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
-        columns = [name for name in _SIZES if isinstance(getattr(self, name), str)]
+        columns = [name for name in SIZES if isinstance(getattr(self, name), str)]
         if self.columns_in != "mm" and not columns:
             raise ValueError("columns_in is a unit of columns, but [indenter] names none; leave columns_in out")
         for name in self.columns_in if isinstance(self.columns_in, dict) else ():
@@ -219,23 +312,40 @@ class RecipeIndenter(Model):
         return self
 
     def column_unit_mm(self, name: str) -> float:
-        """Millimetres in a unit of the column of "diameter_mm", "depth_mm" or "position_mm"."""
+        """Millimetres in a unit of the column of "diameter_mm", "radius_mm", "depth_mm" or "position_mm"."""
         given = self.columns_in
-        units = dict.fromkeys(_SIZES, given) if isinstance(given, str) else given
-        return next((_COLUMN_UNITS_MM[unit] for size, unit in units.items() if size == name), 1.0)
+        units = dict.fromkeys(SIZES, given) if isinstance(given, str) else given
+        return next((COLUMN_UNITS_MM[unit] for size, unit in units.items() if size == name), 1.0)
 
 
-_SIZES: Final[tuple[_Size, ...]] = ("diameter_mm", "depth_mm", "position_mm")
-_COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
+SIZES: Final[tuple[_Size, ...]] = ("diameter_mm", "radius_mm", "depth_mm", "position_mm")
+COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
-class RecipeForce(Model):
+class RecipeForce(RecipeLabels):
     """Where the force is: of videos one number for each frame, in a CSV or npy file that holds {press}."""
 
-    file: Pattern = Field(description="path within the folder; for pictures, a table, or an npz or JSON file for each")
-    press: str | None = Field(default=None, description="column of the table that names the press; for pictures")
-    column: str | None = Field(default=None, description="column or array that holds the force; leave out for npy")
-    factor: float = Field(default=1.0, description="newtons per unit of the file")
+    column: str | None = Field(
+        default=None, description="column or array that holds the force, or {force} of a name; leave out for npy"
+    )
+    unit: Literal["N", "mN", "g", "kg"] = Field(default="N", description="unit of the column; g and kg weigh as much")
+    factor: float = Field(default=1.0, description="in place of unit: newtons per unit of the file")
+
+    @model_validator(mode="after")
+    def _has_a_source(self) -> "RecipeForce":
+        if self.file is None and PLACEHOLDER.fullmatch(self.column or "") is None:
+            raise ValueError('give file, or the part of the name that holds the force: column = "{force}"')
+        if self.unit != "N" and self.factor != 1.0:
+            raise ValueError("unit and factor say the same; leave one of them out")
+        return self
+
+    @property
+    def newtons(self) -> float:
+        """Newtons per unit of the file."""
+        return self.factor * _FORCE_UNITS_N[self.unit]
+
+
+_FORCE_UNITS_N: Final = {"N": 1.0, "mN": 1e-3, "g": 9.80665e-3, "kg": 9.80665}
 
 
 def composed(text: str) -> str:
@@ -273,6 +383,19 @@ class Recipe(Model):
         return _composed_words(given)
 
     @model_validator(mode="after")
+    def _names_hold_what_is_used(self) -> "Recipe":
+        known = {PRESS[1:-1], GROUP[1:-1], *PLACEHOLDER.findall(self.presses.files)}
+        parts = (self.no_contact, self.contact, self.scale, self.indenter, self.force)
+        used = {word for text in _texts([part.model_dump() for part in parts if part is not None])
+                for word in PLACEHOLDER.findall(text)}  # fmt: skip
+        if unknown := sorted(used - known):
+            raise ValueError(
+                f"{{{unknown[0]}}} is used, but is not in presses.files, which has "
+                f"{', '.join(f'{{{word}}}' for word in sorted(known - {GROUP[1:-1]}))}; correct one of them"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _solid_has_an_outline_in_mm(self) -> "Recipe":
         has_outline = self.contact is not None and self.contact.circle is None and self.contact.search != "circle"
         if self.indenter.extruded_mm is not None and not (has_outline and self.scale is not None):
@@ -281,6 +404,15 @@ class Recipe(Model):
                 'search = "outline", and [scale]'
             )
         return self
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield all texts of nested tables."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from _texts(inner)
 
 
 def recipe_names() -> tuple[str, ...]:
@@ -320,7 +452,11 @@ def with_sizes(recipe: Recipe, ball_diameter_mm: float | None, mm_per_px: float 
     if ball_diameter_mm is not None:
         require_length(ball_diameter_mm, "the ball's diameter", "--ball-diameter-mm")
         recipe = recipe.model_copy(
-            update={"indenter": recipe.indenter.model_copy(update={"diameter_mm": float(ball_diameter_mm)})}
+            update={
+                "indenter": recipe.indenter.model_copy(
+                    update={"diameter_mm": float(ball_diameter_mm), "radius_mm": None}
+                )
+            }
         )
     if mm_per_px is not None:
         require_length(mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM)
@@ -329,137 +465,8 @@ def with_sizes(recipe: Recipe, ball_diameter_mm: float | None, mm_per_px: float 
     return recipe
 
 
-_MEMBER = re.compile(r"^(?P<name>.+?)(?:\[(?P<index>\d+)\])?$")
-PICKLED = (".pkl", ".pickle")
-
-
 class LeftOutError(Exception):
     """Why a press cannot be read; the others can."""
-
-
-def pickle_words(path: Path) -> str:
-    """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
-    return (
-        "is pickled, and opening it could run code of an unknown author, so it is never opened; if you trust "
-        "its owner, convert it in a Python of your own: import numpy, pathlib, pickle; values = "
-        f"pickle.loads(pathlib.Path('{path.name}').read_bytes()); numpy.save('{path.stem}.npy', "
-        "numpy.array(values, dtype=float)), and name the .npy file in the recipe"
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class LabelTable:
-    """Hold the lines of a CSV table by the path that names a press, and by its last part.
-
-    Folders before it may be those of another machine, so that the last part is enough, where one line only has it.
-    """
-
-    columns: list[str]
-    by_path: dict[str, list[dict[str, str]]]
-    by_last: dict[str, list[dict[str, str]]]
-
-    def row(self, name: str, file: Path, last_parts: Mapping[str, bool]) -> dict[str, str] | None:
-        """Return the line that names a press or its file in the folder, by last parts only where it alone has them.
-
-        Raises
-        ------
-        LeftOutError
-            Several lines that differ do.
-        """
-        sole = [part for part, is_sole in last_parts.items() if is_sole]
-        paths = (name, name + file.suffix, composed(file.as_posix()))
-        for table, keys in ((self.by_path, paths), (self.by_last, sole), (self.by_last, last_parts)):
-            rows = next((table[key] for key in keys if key in table), [])
-            if len(rows) > 1:
-                raise LeftOutError("several lines of the table name this press, with different values")
-            if rows and keys is not last_parts:
-                return dict.fromkeys(self.columns, "") | rows[0]
-        return None
-
-
-def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
-    """Return press -> what a line may call it without the folders before, and whether that is said of it alone.
-
-    That is its file, its name, and the stem of its file where the name is in it; of ``{press}/image.png`` all presses
-    would be called "image.png".
-    """
-    called: dict[str, tuple[str, ...]] = {}
-    for name, path in files.items():
-        last, stem = PurePosixPath(name).name, composed(path.stem)
-        called[name] = (composed(path.name), last, *((stem,) if last in stem else ()))
-    presses = Counter(part for parts in called.values() for part in enumerate(parts))
-    return {name: {part: presses[k, part] == 1 for k, part in enumerate(parts)} for name, parts in called.items()}
-
-
-def read_label_table(path: Path, press: str) -> LabelTable:
-    """Read a table whose column `press` names the press, its file or its folder."""
-    columns, rows = read_csv(path, "a CSV file", ImportFormatError, skip_space=True)
-    if press not in columns:
-        raise ImportFormatError(f"{path}: has no column '{press}' that names the press; it has {', '.join(columns)}")
-    table = LabelTable(columns, {}, {})
-    for _, cells in rows:
-        row = dict(zip(columns, cells, strict=False))
-        named = PurePosixPath(composed(row.get(press, "").strip().replace("\\", "/")))
-        # what follows the last dot of "press_1.5" is not a kind of file
-        last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
-        keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
-        for found, key in keyed:
-            lines = found.setdefault(key, [])
-            if row not in lines:
-                lines.append(row)
-    return table
-
-
-def label_column(path: Path, column: str | None) -> list[str]:
-    """Return the cells of a column."""
-    columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True)
-    if column not in columns:
-        raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
-    at = columns.index(column)
-    return [cells[at] if at < len(cells) else "" for _, cells in rows]
-
-
-def label_array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], name: str, path: Path) -> NDArray[Any]:
-    """Return an array of numbers."""
-    if name in pickled:
-        raise ImportFormatError(f"{path}: '{name}' {pickle_words(Path(name))}")
-    if name not in arrays:
-        raise ImportFormatError(f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
-    return arrays[name]
-
-
-def label_entry(path: Path, value: str) -> float:
-    """Return an array of one number, or one entry of it; what is no number in a JSON file leaves its press out."""
-    member = _MEMBER.match(value)
-    name, index = (member["name"], member["index"]) if member is not None else (value, None)
-    at = 0 if index is None else int(index)
-    if path.suffix.lower() == ".json":
-        return _json_number(path, name, None if index is None else at)
-    arrays, pickled = read_npz(path)
-    array = label_array(arrays, pickled, name, path).ravel()
-    if at >= array.size or (index is None and array.size != 1) or not np.isfinite(array[at]):
-        raise ImportFormatError(f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers")
-    return float(array[at])
-
-
-def _json_number(path: Path, name: str, at: int | None) -> float:
-    """Return a number of a JSON object by its key, of inner objects outer.inner, or the entry `at` of a list."""
-    whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
-    if not isinstance(whole, dict):
-        raise ImportFormatError(f"{path}: must be one object {{ ... }} with the labels of its press")
-    found: dict[str, Any] = {}
-    for key, value in (inside := list(whole.items())):  # grows while it is read
-        found[key] = value
-        inside += [(f"{key}.{inner}", of) for inner, of in value.items()] if isinstance(value, dict) else []
-    if name not in found:
-        raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)) or 'nothing'}")
-    values = found[name] if found[name] and isinstance(found[name], list) else [found[name]]
-    if (at is None and len(values) != 1) or (at or 0) >= len(values):
-        raise ImportFormatError(f"{path}: '{name}' has entries 0 to {len(values) - 1}; name one, such as {name}[0]")
-    number = values[at or 0]
-    if isinstance(number, bool) or not isinstance(number, (int, float)) or not np.isfinite(float(number)):
-        raise LeftOutError(f"its '{name}' is not a finite number")
-    return float(number)
 
 
 MOST_FILES = 200_000
@@ -471,7 +478,7 @@ _LEAVE_OUT: Final = "presses.leave_out"
 def named_presses(recipe: Recipe) -> dict[str, list[str]]:
     """Return key of the recipe -> presses that it names one by one."""
     found: dict[str, list[str]] = {_LEAVE_OUT: list(recipe.presses.leave_out)}
-    for what in ("depth_mm", "position_mm"):
+    for what in ("shape", *SIZES):
         if isinstance(of := getattr(recipe.indenter, what), dict):
             found[f"indenter.{what}"] = list(of)
     if recipe.contact is not None and recipe.contact.outline_px:
@@ -479,38 +486,133 @@ def named_presses(recipe: Recipe) -> dict[str, list[str]]:
     return found
 
 
-def press_files(folder: Path, recipe: Recipe) -> Iterator[tuple[str, Path]]:
-    """Return name and file of every press, in the order of their names, numbers by value."""
-    pattern = recipe.presses.files
-    if pattern.count(PRESS) != 1:
+def is_named(press: str, name: str) -> bool:
+    """Return whether a key of a table by names means a press: it is its name, or fits it where it has a *."""
+    return press == name or ("*" in name and fnmatchcase(press, name))
+
+
+@dataclass(frozen=True, slots=True)
+class PressFile:
+    """The picture of a press.
+
+    Attributes
+    ----------
+    path
+        Of its file, or of a picture in an array of one, ``set.npz::images[3]``.
+    words
+        Placeholder of presses.files -> what it stands for in the name; press and group are always there.
+    """
+
+    path: Path
+    words: Mapping[str, str]
+
+    def filled(self, pattern: str) -> str:
+        """Return a text of the recipe with its placeholders replaced."""
+        return PLACEHOLDER.sub(lambda found: self.words.get(found[1], found[0]), pattern)
+
+
+_NUMBER_IN_A_NAME = r"[+-]?\d+(?:[.p]\d+)?(?:e[+-]?\d+)?"
+
+
+def number_in_name(text: str) -> float | None:
+    """Return a number of a file's name, such as -0.75, 0p75 or 1e-3; None where it is none."""
+    return float(text.replace("p", ".")) if re.fullmatch(_NUMBER_IN_A_NAME, text) else None
+
+
+def _expressions(recipe: Recipe, pattern: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """Return what names of files must fit: with numbers where the recipe wants them, and with any text there."""
+    parts = (recipe.no_contact, recipe.contact, recipe.scale, recipe.indenter, recipe.force)
+    texts = _texts([part.model_dump() for part in parts if part is not None])
+    numbers = {found[1] for text in texts if (found := PLACEHOLDER.fullmatch(text)) is not None}
+    made = []
+    for wanted in (numbers, set[str]()):
+        seen, whole = set(), ""
+        for part in re.split(r"(\{[a-z_][a-z0-9_]*\}|\*)", pattern):
+            word = part[1:-1] if PLACEHOLDER.fullmatch(part) else ""
+            if word in seen:
+                whole += f"(?P={word})"
+            elif word:
+                any_text = ".+" if part == PRESS else "[^/]+?"
+                whole += f"(?P<{word}>{_NUMBER_IN_A_NAME if word in wanted else any_text})"
+            else:
+                whole += "[^/]*" if part == "*" else re.escape(composed(part))
+            seen |= {word} - {""}
+        made.append(re.compile(whole))
+    return made[0], made[1]
+
+
+def press_files(folder: Path, recipe: Recipe, count: Callable[[Path, str], int]) -> Iterator[tuple[str, PressFile]]:
+    """Return name and file of every press, in the order of their names, numbers by value.
+
+    Parameters
+    ----------
+    folder
+        Of the set.
+    recipe
+        How it is read.
+    count
+        Gives the number of pictures in an array of a file.
+    """
+    pattern, _, array = recipe.presses.files.partition(ARRAY_IN)
+    if PLACEHOLDER.search(recipe.presses.files) is None or recipe.presses.files.count(PRESS) > 1:
         raise ImportFormatError(
-            f"recipe '{recipe.name}': presses.files = \"{pattern}\" must contain {PRESS} exactly once: it stands for "
-            f"the name of the press"
+            f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must contain {PRESS} exactly once: it "
+            "stands for the name of the press; or give other words for parts of the name, such as {depth}"
+        )
+    if array and not re.fullmatch(r"[^\[\]/{}]*\[\{press\}\]", array):
+        raise ImportFormatError(
+            f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must end in the name of an array and "
+            f"[{PRESS}], such as {pattern}{ARRAY_IN}images[{PRESS}], or {pattern}{ARRAY_IN}[{PRESS}] of npy and TIFF"
         )
     _require_inside(pattern)
-    parts = re.split(r"(\{press\}|\*)", pattern)
-    words = {PRESS: "(.+)", "*": "[^/]*"}
-    wanted = re.compile("".join(words.get(part, re.escape(composed(part))) for part in parts))
-    found: dict[str, Path] = {}
+    strict, loose = _expressions(recipe, pattern)
+    found: dict[str, PressFile] = {}
     for number, path in enumerate(files_below(folder)):
         if number > MOST_FILES:
             raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
-        match = wanted.fullmatch(composed(path.relative_to(folder).as_posix()))
-        if path.name.startswith("._"):
-            continue  # what macOS writes beside a file on other disks
-        if match is not None and fnmatchcase(match[1], recipe.presses.only):
+        inner = composed(path.relative_to(folder).as_posix())
+        match = None if path.name.startswith("._") else strict.fullmatch(inner) or loose.fullmatch(inner)
+        if match is None:  # "._" is what macOS writes beside a file on other disks
+            continue
+        for name, press in _presses_of(path, match, array.partition("[")[0] if array else None, count):
+            if not fnmatchcase(name, recipe.presses.only):
+                continue
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
-            if match[1] in found:
+            if name in found:
                 raise ImportFormatError(
-                    f"{found[match[1]]} and {path.relative_to(folder)} are both press '{match[1]}' by presses.files "
-                    f"of the recipe '{recipe.name}' ({pattern}); move one away, or let {PRESS} cover what differs"
+                    f"{found[name].path} and {path.relative_to(folder)} are both press '{name}' by presses.files of "
+                    f"the recipe '{recipe.name}' ({recipe.presses.files}); move one away, or let {PRESS} cover what "
+                    "differs"
                 )
-            found[match[1]] = path
+            found[name] = press
+    yield from _ordered(folder, recipe, found)
+
+
+def _presses_of(
+    path: Path, match: re.Match[str], array: str | None, count: Callable[[Path, str], int]
+) -> Iterator[tuple[str, PressFile]]:
+    """Return the presses of a file: one, or those of an array in it."""
+    words = match.groupdict()
+    if array is not None:
+        above = "/".join(words.values())
+        for index in range(count(path, array)):
+            inner = path.with_name(f"{path.name}{ARRAY_IN}{array}[{index}]")
+            yield (
+                f"{above}/{index}" if above else f"{index}",
+                PressFile(inner, {**words, "press": f"{index}", "group": above}),
+            )
+        return
+    name = words.get("press") or match.string[match.start(1) : max(match.end(word) for word in words)]
+    yield name, PressFile(path, {"press": name, **words, "group": PurePosixPath(name).parent.as_posix()})
+
+
+def _ordered(folder: Path, recipe: Recipe, found: Mapping[str, PressFile]) -> Iterator[tuple[str, PressFile]]:
+    """Return the presses in the order of their names; refuse none, and too many."""
     if not found:
         raise ImportFormatError(
-            f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({pattern}); give the folder "
-            f"above, or correct presses.files (upper and lower case count){_seen(folder)}"
+            f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({recipe.presses.files}); "
+            "give the folder above, or correct presses.files (upper and lower case count)" + _seen(folder)
         )
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
@@ -532,15 +634,16 @@ def _require_inside(pattern: str) -> None:
         raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
 
 
-def named_file(folder: Path, pattern: str, press: str) -> Path:
-    """Return the path of a press; a link that leads out of the folder is refused."""
+def named_file(folder: Path, pattern: str, press: PressFile) -> Path:
+    """Return the path of a press's file; a link that leads out of the folder is refused."""
     _require_inside(pattern)
-    inner = pattern.replace(PRESS, press).replace(GROUP, PurePosixPath(press).parent.as_posix())
+    inner = press.filled(pattern)
     # macOS stores letters such as an umlaut in two parts, other systems in one
-    path = next((found for form in _FORMS if has_file(found := folder / normalize(form, inner))), folder / inner)
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
-    return path
+    forms = [normalize(form, inner) for form in _FORMS]
+    found = next((form for form in forms if has_file(folder / form.partition(ARRAY_IN)[0])), inner)
+    if not (folder / found.partition(ARRAY_IN)[0]).resolve().is_relative_to(folder.resolve()):
+        raise ImportFormatError(f"{folder / found}: leads out of the folder; copy the file into it")
+    return folder / found
 
 
 def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> None:
@@ -553,118 +656,14 @@ def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> Non
     """
     read = [name for name in files if name not in recipe.presses.leave_out]
     for where, names in named_presses(recipe).items():
-        unknown = [name for name in names if name not in files and fnmatchcase(name, recipe.presses.only)]
-        missing = [name for name in read if name not in names]
+        unknown = [
+            name
+            for name in names
+            if not any(is_named(press, name) for press in files) and fnmatchcase(name, recipe.presses.only)
+        ]
+        missing = [press for press in read if not any(is_named(press, name) for name in names)]
         if where != _LEAVE_OUT and unknown and missing:
             raise ImportFormatError(
                 f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is not a press of {folder}, but does "
                 f"not name '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
             )
-
-
-#: A ball that is pressed in by d touches over a circle whose cap is d high in a rigid pad, and half as high in a thick
-#: soft one; with a drawn circle and the play of a stage both agree to this factor.
-_DEPTH_FACTOR = 5.0
-_UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
-#: Without a circle: depths in mm that a gel can have.
-_DEPTHS_MM: Final = (0.01, 30.0)
-
-
-def require_possible_scale(recipe: Recipe) -> None:
-    """Refuse a pixel of more than a millimetre: no sensor of this kind has one, and inverted scales do.
-
-    Raises
-    ------
-    ImportFormatError
-        The scale of the recipe says so.
-    """
-    scale = recipe.scale
-    if scale is not None and scale.side_mm > LARGEST_PIXEL_MM:
-        given, other = ("mm_per_px", "px_per_mm") if scale.mm_per_px is not None else ("px_per_mm", "mm_per_px")
-        number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
-        raise ImportFormatError(
-            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
-            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
-        )
-
-
-def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, float | None]]) -> None:
-    """Refuse depths that are in another unit than millimetres, by the circles of balls or by what a gel can be.
-
-    Parameters
-    ----------
-    recipe
-        Named in the message.
-    depths
-        Name of the press -> its depth and the height of its circle's cap where ball, scale and circle are known, mm.
-
-    Raises
-    ------
-    ImportFormatError
-        The median of the presses is too far off.
-    """
-    if not depths:
-        return
-    ratios = [depth / cap for depth, cap in depths.values() if cap is not None and cap > 0.0]
-    middle_mm = float(np.median([depth for depth, _ in depths.values()]))
-    if ratios:
-        ratio = float(np.median(ratios))
-        if 1.0 / _DEPTH_FACTOR <= ratio <= _DEPTH_FACTOR:
-            return
-        why = f"but ball diameter and contact circles give about {middle_mm / ratio:.3g} mm"
-    elif _DEPTHS_MM[0] <= middle_mm <= _DEPTHS_MM[1]:
-        return
-    else:
-        ratio = middle_mm / 1.0
-        why = f"but {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
-    unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
-    others = [n for n in _SIZES if n != "depth_mm" and isinstance(getattr(recipe.indenter, n), str)]
-    if others:  # their columns may be in mm all the same
-        unit = f"{{ depth_mm = {unit} }}"
-    raise ImportFormatError(
-        f"recipe '{recipe.name}', indenter.depth_mm: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
-        f"{why}. If the column is in another unit, write columns_in = {unit} below [indenter]; else correct the "
-        "depths, the scale or the ball's diameter"
-    )
-
-
-def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[str, float]], shape: Shape) -> None:
-    """Refuse circles whose presses change more at the circles of pictures that are arranged otherwise.
-
-    Raises
-    ------
-    ImportFormatError
-        The majority of the presses that can tell says so.
-    """
-    vote = vote_on_circles(tuple(changes.values()))
-    if vote is None:
-        return
-    said = vote.exchanged
-    remedy = "exchange column_px and row_px"
-    if said != ROW_AND_COLUMN:
-        rows, columns = shape
-        # corners that the recipe has belong to the picture as it is stored, those of whole pictures to this one
-        corners = recipe.picture.corners_px or ((0, 0), (columns - 1, 0), (0, rows - 1), (columns - 1, rows - 1))
-        exchanged = ("left" in said) + 2 * ("top" in said)
-        turned = [[*corners[k ^ exchanged]] for k in range(4)]
-        remedy = (
-            f"correct the labels, or turn the pictures to suit them: corners_px = {turned} and "
-            f"size_px = [{columns}, {rows}] below [picture]"
-        )
-    raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change more (median: "
-        f"{vote.median_ratio:.2g} times as much) where their circles would be with {said} exchanged; {vote.right} "
-        f"change more where their circles are now: {remedy}"
-    )
-
-
-def above_zero(what: str, value_mm: float | None) -> None:
-    """Leave out a press of which a table says a length that none has.
-
-    Raises
-    ------
-    LeftOutError
-        It is not above 0.
-    """
-    if value_mm is not None and not value_mm > 0.0:
-        raise LeftOutError(f"its {what} is {value_mm:g} mm in the table; it must be above 0")

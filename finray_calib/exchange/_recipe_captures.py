@@ -18,66 +18,67 @@ from data_schemas import (
     CompareError,
     ContactCircle,
     ImportFormatError,
-    IndenterPose,
     MissingPart,
     PlaceInImage,
     TactileCapture,
 )
 from data_schemas.storage import finite_number, folder_at, has_file, read_npy
-from finray_calib.exchange._ball_presses import SourcedCircle, read_npz
+from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, SourcedCircle
 from finray_calib.exchange._capture_recipe import (
-    PICKLED,
     PRESS,
-    LabelTable,
+    SIZES,
     LeftOutError,
-    OfPress,
-    PlaceOfPress,
-    Quantity,
+    PressFile,
     Recipe,
-    above_zero,
-    label_array,
-    label_column,
-    label_entry,
-    last_parts_of,
+    RecipeDepthMap,
+    is_named,
     named_file,
     named_presses,
-    pickle_words,
     press_files,
-    read_label_table,
     refuse_misspelt,
-    require_circles_on_contacts,
-    require_possible_depths,
-    require_possible_scale,
 )
-from finray_calib.exchange._render_files import exr_steps, frame_of, in_colour, pixels_of, require_alike
-from finray_calib.exchange._video_frames import (
+from finray_calib.exchange._lab_measurements import (
+    PICKLED,
+    PressLabels,
+    label_column,
+    pickle_words,
+    require_circles_on_contacts,
+)
+from finray_calib.exchange._render_files import LEAST_DEPTH_SHARE
+from finray_calib.exchange._set_files import (
     CONVERT_VIDEO,
+    VIDEOS,
+    ArrayFiles,
     begins_early,
+    exr_rgb,
+    file_of,
+    frame_of,
+    in_colour,
     longest_hold,
-    motion_jpeg_frames,
+    pixels_of,
+    require_alike,
     small_frame,
+    steps_of,
+    video_frames,
 )
 from finray_calib.sensing import (
     changes_elsewhere,
-    contact_distance,
+    contact_of_depths,
     find_contact_circle,
     find_contact_outline,
     misplaced_circle,
+    with_far_surface,
 )
 
 Counts = NDArray[np.uint16]
 Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
-VIDEO: Final = ".avi"
 _REASONS_SHOWN: Final = 5
 #: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
-#: Pixels this far from the contact, in half-widths, give the smooth surface that stands for no contact.
-FAR_HALF_WIDTHS = 1.6
-_SURFACE_DEGREE = 3
 _MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts: small errors are not seen"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
@@ -140,7 +141,7 @@ def read_by_recipe(
     excluded = [name for name in recipe.presses.leave_out if name in reader.files]
     left_out = {"the recipe excludes it": excluded} if excluded else {}
     for where, names_of in named_presses(recipe).items():
-        if absent := [name for name in names_of if name not in reader.files]:
+        if absent := [name for name in names_of if not any(is_named(press, name) for press in reader.files)]:
             left_out[f"{where} of the recipe names it, but the folder has no such press"] = absent
     names = [name for name in reader.files if name not in recipe.presses.leave_out]
     for number, name in enumerate(names):
@@ -189,23 +190,22 @@ class _Folder:
     folder: Path
     recipe: Recipe
     circles: dict[str, SourcedCircle]
-    files: dict[str, Path] = field(init=False)
-    _last_parts: dict[str, dict[str, bool]] = field(init=False)
+    files: dict[str, PressFile] = field(init=False)
+    _labels: PressLabels = field(init=False)
+    _arrays: ArrayFiles = field(init=False, default_factory=ArrayFiles)
     _found: dict[str, dict[str, Any]] = field(init=False, default_factory=dict)
     _made_of: set[Path] = field(init=False, default_factory=set)
     _pictures: dict[Path, NDArray[Any]] = field(init=False, default_factory=dict)
     _median: Counts | None = field(init=False, default=None)
     _median_of: set[Path] = field(init=False, default_factory=set)
-    _tables: dict[tuple[Path, str], "LabelTable"] = field(init=False, default_factory=dict)
     _depths: dict[str, tuple[float, float | None]] = field(init=False, default_factory=dict)
     _elsewhere: dict[str, dict[str, float]] = field(init=False, default_factory=dict)
     _shape: tuple[int, int] = field(init=False, default=(0, 0))
 
     def __post_init__(self) -> None:
         require_possible_scale(self.recipe)
-        self.files = dict(press_files(self.folder, self.recipe))
-        read = {name: path for name, path in self.files.items() if name not in self.recipe.presses.leave_out}
-        self._last_parts = last_parts_of(read)
+        self.files = dict(press_files(self.folder, self.recipe, self._arrays.count))
+        self._labels = PressLabels(self.folder, self.recipe, self.files, self._arrays, self._made_of)
         for name in self.circles:
             if name not in self.files:
                 raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
@@ -219,19 +219,18 @@ class _Folder:
     def capture(self, name: str) -> TactileCapture:
         """Return the capture of a press."""
         self._made_of.clear()
-        force_n = None
-        if self.files[name].suffix.lower() == VIDEO:
+        path = self.files[name].path
+        if path.suffix.lower() in VIDEOS:
             images, force_n = self._video(name)
         else:
             if self.recipe.no_contact.frames_before is not None:
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': no_contact.frames_before is for Motion-JPEG videos (.avi), and "
-                    f"{self.files[name].name} is not one; {CONVERT_VIDEO}; or name the image without contact of a "
-                    "picture as no_contact.file"
+                    f"recipe '{self.recipe.name}': no_contact.frames_before is for videos ({', '.join(VIDEOS)}), and "
+                    f"{path.name} is not one; {CONVERT_VIDEO}; or name no_contact.file"
                 )
             force_n = self._picture_force(name)
             self._pictures.clear()
-            images = [self._picture(self.files[name]), *self._without_contact(name)]
+            images = [self._picture(path), *self._without_contact(name)]
             require_alike(self._pictures)
             if self.recipe.no_contact.file is not None and np.array_equal(images[0], images[1]):
                 raise LeftOutError("its image is the one without contact")
@@ -243,12 +242,12 @@ class _Folder:
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
-                f"{self.files[name]}: its image and those without contact have different sizes ({sizes} px); "
+                f"{path}: its image and those without contact have different sizes ({sizes} px); "
                 "all must come from one camera at one size"
             )
         capture = self._placed(name, self._unplaced(name, images, force_n))
         if self.recipe.no_contact.far_pixels:
-            capture = _with_far_surface(capture)
+            capture = with_far_surface(capture)
         return capture.model_copy(update={"missing": self._missing(capture)})
 
     def _unplaced(self, name: str, images: list[Counts], force_n: float | None) -> TactileCapture:
@@ -265,7 +264,7 @@ class _Folder:
             black_level_dn=0.0,
             exposure_s=None,
             light_angle_deg=None,
-            indenter=self._pose(name),
+            indenter=self._labels.pose(name),
             contact_circle=None,
             mm_per_px=None if recipe.scale is None else recipe.scale.side_mm,
             source=recipe.what,
@@ -298,7 +297,7 @@ class _Folder:
         lengths_px = []
         for name in names:
             try:
-                lengths_px.append(self._quantity(name, contact.file, contact.press, scale.check_length_px))
+                lengths_px.append(self._labels.number(name, contact, scale.check_length_px))
             except LeftOutError:
                 continue
         if not lengths_px:
@@ -320,14 +319,14 @@ class _Folder:
 
     def _is_deep(self, name: str) -> bool:
         """Return whether the values of a press go beyond 8 bits."""
-        path = self.files[name]
-        if path.suffix.lower() == VIDEO:
+        path = self.files[name].path
+        if path.suffix.lower() in VIDEOS:
             return False
         return path.suffix.lower() == ".exr" or self._pictures[path].dtype == np.uint16
 
     def _bits(self, name: str) -> Literal[8, 10, 12, 14, 16]:
         """Return the bits of a press's counts."""
-        bits, path = self.recipe.picture.bit_depth, self.files[name]
+        bits, path = self.recipe.picture.bit_depth, self.files[name].path
         if bits is None:
             return 16 if self._is_deep(name) else 8
         if path.suffix.lower() == ".exr" or not self._is_deep(name):
@@ -346,27 +345,27 @@ class _Folder:
 
     def _picture(self, path: Path) -> Counts:
         """Return a picture as counts (H, W, 3) in RGB order, stretched where the recipe says so."""
-        self._made_of.add(path)
-        if path.suffix.lower() == ".exr":
-            full = self.recipe.picture.full_scale
-            if full is None:
-                raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
-                    f"{path.name} becomes the largest of 65535 steps"
-                )
-            self._pictures[path] = exr_steps(path, full)
-            return self._arranged(self._pictures[path])
-        if self.recipe.picture.full_scale is not None:
-            raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} is not "
-                "one; leave it out"
-            )
-        if path.suffix.lower() == ".npy" and "channels" not in self.recipe.picture.model_fields_set:
+        self._made_of.add(file_of(path))
+        full = self.recipe.picture.full_scale
+        is_array = file_of(path).suffix.lower() in (".npy", ".npz")
+        if is_array and "channels" not in self.recipe.picture.model_fields_set:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': {path.name} does not state the order of its channels; write "
                 'channels = "RGB" or "BGR" (as OpenCV reads pictures) below [picture]'
             )
-        self._pictures[path] = pixels_of(path)
+        stored = exr_rgb(path) if path.suffix.lower() == ".exr" else pixels_of(path, self._arrays)
+        of_light = stored.dtype.kind == "f"
+        if of_light and full is None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
+                f"{path.name} becomes the largest of 65535 steps"
+            )
+        if not of_light and full is not None:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} "
+                "is not one, nor an array of fractions; leave it out"
+            )
+        self._pictures[path] = stored if full is None else steps_of(stored, path, full)
         return self._arranged(in_colour(self._pictures[path]))
 
     def _arranged(self, image: NDArray[Any]) -> Counts:
@@ -374,13 +373,18 @@ class _Folder:
         picture = self.recipe.picture
         if picture.channels == "BGR":
             image = image[..., ::-1]
-        if picture.corners_px is not None and picture.size_px is not None:
-            width, height = picture.size_px
-            corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
-            seen, wanted = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
-            turned = cv2.getPerspectiveTransform(seen, wanted)
-            image = cv2.warpPerspective(np.ascontiguousarray(image), turned, picture.size_px, flags=cv2.INTER_AREA)
-        return np.ascontiguousarray(image).astype(np.uint16)
+        return np.ascontiguousarray(self._stretched(image)).astype(np.uint16)
+
+    def _stretched(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return an image (H, W) or (H, W, 3) at the corners that the recipe gives."""
+        picture = self.recipe.picture
+        if picture.corners_px is None or picture.size_px is None:
+            return image
+        width, height = picture.size_px
+        corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
+        seen, wanted = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
+        turned = cv2.getPerspectiveTransform(seen, wanted)
+        return cv2.warpPerspective(np.ascontiguousarray(image), turned, picture.size_px, flags=cv2.INTER_AREA)
 
     def _without_contact(self, name: str) -> list[Counts]:
         """Return the images without contact, two where there is a repeat; none where it comes from far pixels."""
@@ -388,7 +392,7 @@ class _Folder:
         if source.median_of_presses:
             if self._median is None:
                 left_out = set(self.recipe.presses.leave_out)
-                files = [path for name, path in self.files.items() if name not in left_out]
+                files = [press.path for name, press in self.files.items() if name not in left_out]
                 step = -(-len(files) // MOST_IN_MEDIAN)
                 pictures = [self._picture(path) for path in files[::step]]
                 if len({picture.shape for picture in pictures}) > 1 or len(pictures) < 3:
@@ -397,15 +401,15 @@ class _Folder:
                         "images without contact"
                     )
                 self._median = np.median(pictures, axis=0).astype(np.uint16)
-                self._median_of = set(files[::step])
+                self._median_of = {file_of(path) for path in files[::step]}
             self._made_of |= self._median_of
             return [self._median]
         found = []
         for pattern, needed in ((source.file, True), (source.repeat_file, False)):
             if pattern is None:
                 continue
-            path = named_file(self.folder, pattern, name)
-            if has_file(path):
+            path = named_file(self.folder, pattern, self.files[name])
+            if has_file(file_of(path)):
                 found.append(self._picture(path))
             elif needed:
                 raise LeftOutError(f"the image without contact, {pattern}, is missing")
@@ -424,9 +428,9 @@ class _Folder:
                 f"recipe '{self.recipe.name}': no_contact.frames_before is missing; state how many frames of "
                 "a video are without contact"
             )
-        path = self.files[name]
+        path = self.files[name].path
         self._made_of.add(path)
-        frames = motion_jpeg_frames(path)
+        frames = video_frames(path)
         if len(frames) <= before:
             raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
         first = small_frame(frame_of(frames[0], path))
@@ -448,9 +452,9 @@ class _Folder:
     def _force(self, name: str, frames: int) -> Floats | None:
         """Return the force of each frame, N; None where there is no file."""
         source = self.recipe.force
-        if source is None:
+        if source is None or source.file is None:
             return None
-        path = named_file(self.folder, source.file, name)
+        path = named_file(self.folder, source.file, self.files[name])
         if path.suffix.lower() in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         if not has_file(path):
@@ -468,7 +472,7 @@ class _Folder:
             raise ImportFormatError(
                 f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed"
             )
-        return np.asarray(values * source.factor)
+        return np.asarray(values * source.newtons)
 
     def _picture_force(self, name: str) -> float | None:
         """Return the force of a press that is a picture, N."""
@@ -479,37 +483,7 @@ class _Folder:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}', force.column: missing; name the column, array or key of the force"
             )
-        return self._quantity(name, source.file, source.press, source.column) * source.factor
-
-    def _pose(self, name: str) -> IndenterPose:
-        """Return what was pressed in, how deep and where."""
-        indenter = self.recipe.indenter
-        diameter_mm, depth_mm, position_mm = (
-            self._of_indenter(name, of) for of in ("diameter_mm", "depth_mm", "position_mm")
-        )
-        above_zero("diameter", diameter_mm)
-        above_zero("depth, from first touch,", depth_mm)
-        return IndenterPose(
-            shape=indenter.shape,
-            radius_mm=None if diameter_mm is None else diameter_mm / 2.0,
-            depth_mm=depth_mm,
-            position_mm=position_mm,
-            depth_uncertainty_mm=None if depth_mm is None else indenter.depth_uncertainty_mm,
-            position_uncertainty_mm=None if position_mm is None else indenter.position_uncertainty_mm,
-        )
-
-    def _of_indenter(self, name: str, what: str) -> float | None:
-        """Return diameter, depth or position of the indenter."""
-        indenter, contact = self.recipe.indenter, self.recipe.contact
-        value: PlaceOfPress | OfPress | None = getattr(indenter, what)
-        if isinstance(value, dict):
-            return value.get(name)
-        if value is None or isinstance(value, float):
-            return value
-        file, press = indenter.file, indenter.press
-        if file is None and contact is not None:
-            file, press = contact.file, contact.press
-        return self._quantity(name, file, press, value) * indenter.column_unit_mm(what)
+        return self._labels.number(name, source, source.column) * source.newtons
 
     def _placed(self, name: str, capture: TactileCapture) -> TactileCapture:
         """Return the capture with its contact."""
@@ -523,7 +497,7 @@ class _Folder:
             return capture
         if contact.circle is not None:
             column, row, radius = (
-                self._quantity(name, contact.file, contact.press, value)
+                self._labels.number(name, contact, value)
                 for value in (contact.circle.column_px, contact.circle.row_px, contact.circle.radius_px)
             )
             if radius <= 0.0:
@@ -534,7 +508,9 @@ class _Folder:
             fields = ("contact_circle", "contact_outline", "contact_told_by")
             self._found[name] = {name_of: getattr(placed, name_of) for name_of in fields}
             return placed
-        places = contact.outline_px.get(name) if contact.outline_px else self._hull(name)
+        if contact.depth_map is not None:
+            return self._by_map(name, capture, contact.depth_map)
+        places = contact.outline_px.get(name) if contact.outline_px else self._labels.hull(name, contact)
         if places is None:
             raise LeftOutError("the recipe gives no outline for this press")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
@@ -563,63 +539,32 @@ class _Folder:
             )
         return capture.model_copy(update={"contact_circle": circle, "contact_told_by": by})
 
-    def _hull(self, name: str) -> NDArray[np.float32]:
-        """Return the hull of all corners that the label holds, (corners, 2): column, row."""
-        contact = self.recipe.contact
-        path = named_file(self.folder, (contact.file if contact is not None else None) or "", name)
-        if not has_file(path):
-            raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
-        self._made_of.add(path)
-        arrays, pickled = read_npz(path)
-        corners = [
-            label_array(arrays, pickled, part, path) for part in (contact.outline if contact is not None else ())
-        ]
-        if any(part.ndim != 2 or part.shape[1] != 2 for part in corners):
-            raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
-        points = np.concatenate(corners).astype(np.float32) if corners else np.zeros((0, 2), dtype=np.float32)
-        if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
-            raise LeftOutError("its outline has fewer than 3 corners, or some that are not numbers")
-        return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
-
-    def _quantity(self, name: str, file: str | None, press: str | None, value: Quantity) -> float:
-        """Return a number of a press: as it stands in the recipe, or in a table, npz or JSON file."""
-        if isinstance(value, float):
-            return value
-        if file is None:
-            raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no file is named for '{value}'; add the key file to [contact], or to "
-                "[indenter] for a number of the indenter"
+    def _by_map(self, name: str, capture: TactileCapture, source: RecipeDepthMap) -> TactileCapture:
+        """Return the capture with the contact and the greatest depth of a map."""
+        path = self.files[name].path
+        stored = self._pictures[path].shape if path in self._pictures else capture.contact.shape
+        depths = self._stretched(self._labels.depths_mm(name, source, stored))
+        deepest = float(depths.max())
+        if not deepest > 0.0:
+            raise LeftOutError(
+                f"its map of depths is nowhere above 0 ({depths.min():.3g} to {deepest:.3g} mm): where values fall as "
+                "the gel is pressed in, value_mm is below 0"
             )
-        path = named_file(self.folder, file, name)
-        if path.suffix.lower() in PICKLED:
-            raise ImportFormatError(f"{path}: {pickle_words(path)}")
-        if path.suffix.lower() in (".npz", ".json"):
-            if not has_file(path):
-                raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
-            self._made_of.add(path)
-            return label_entry(path, value)
-        if press is None:
-            raise ImportFormatError(
-                f"recipe '{self.recipe.name}': 'press' is missing next to file = \"{file}\"; name "
-                "the column that holds the press of each line (a file for each press must be npz or JSON)"
+        least = source.least_depth_mm or LEAST_DEPTH_SHARE * deepest
+        circle, corners = contact_of_depths(depths, least) if deepest > least else (None, ())
+        if len(corners) < 3:
+            raise LeftOutError(
+                f"its map of depths, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels"
             )
-        table = self._tables.get((path, press)) or read_label_table(path, press)
-        self._tables[path, press] = table
-        self._made_of.add(path)
-        row = table.row(name, self.files[name].relative_to(self.folder), self._last_parts[name])
-        if row is None:
-            raise LeftOutError(f"no line of {path.name} names this press")
-        if value not in row:
-            raise ImportFormatError(
-                f"{path}: has no column '{value}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
+        pose = capture.indenter
+        if pose.depth_mm is None:
+            pose = pose.model_copy(
+                update={"depth_mm": deepest, "depth_uncertainty_mm": self.recipe.indenter.depth_uncertainty_mm}
             )
-        try:
-            return finite_number(row[value])
-        except ValueError:
-            raise ImportFormatError(
-                f"{path}: {value} of {name} must be a number, got {row[value]!r}; write it with a decimal point, or "
-                "name the press in presses.leave_out"
-            ) from None
+        told = capture.model_copy(update={"indenter": pose})
+        if circle is not None and pose.shape == "ball":
+            return self._with_circle(told, circle, "label")
+        return told.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
 
     def _missing(self, capture: TactileCapture) -> tuple[MissingPart, ...]:
         """Return what the capture lacks, and what is lost by it."""
@@ -652,19 +597,71 @@ def _ball_px(capture: TactileCapture) -> float | None:
     return pose.radius_mm / capture.mm_per_px
 
 
-def _with_far_surface(capture: TactileCapture) -> TactileCapture:
-    """Return the capture with a smooth surface through its far pixels in the place of a no-contact image."""
-    distance = contact_distance(capture)
-    if distance is None:
-        raise LeftOutError("the place of its contact is not known, and so neither are the pixels far from it")
-    rows, columns = distance.shape
-    y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
-    powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
-    terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
-    values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
-    far = (distance > FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
-    if far.mean() < 0.1:
-        raise LeftOutError("less than a tenth of the picture is far from its contact: give an image without contact")
-    surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
-    limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
-    return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})
+#: A ball that is pressed in by d touches over a circle whose cap is d high in a rigid pad, and half as high in a thick
+#: soft one; with a drawn circle and the play of a stage both agree to this factor.
+_DEPTH_FACTOR = 5.0
+_UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
+#: Without a circle: depths in mm that a gel can have.
+_DEPTHS_MM: Final = (0.01, 30.0)
+
+
+def require_possible_scale(recipe: Recipe) -> None:
+    """Refuse a pixel of more than a millimetre: no sensor of this kind has one, and inverted scales do.
+
+    Raises
+    ------
+    ImportFormatError
+        The scale of the recipe says so.
+    """
+    scale = recipe.scale
+    if scale is not None and scale.side_mm > LARGEST_PIXEL_MM:
+        given, other = ("mm_per_px", "px_per_mm") if scale.mm_per_px is not None else ("px_per_mm", "mm_per_px")
+        number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
+        raise ImportFormatError(
+            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
+            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
+        )
+
+
+def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, float | None]]) -> None:
+    """Refuse depths that are in another unit than millimetres, by the circles of balls or by what a gel can be.
+
+    Parameters
+    ----------
+    recipe
+        Named in the message.
+    depths
+        Name of the press -> its depth and the height of its circle's cap where ball, scale and circle are known, mm.
+
+    Raises
+    ------
+    ImportFormatError
+        The median of the presses is too far off.
+    """
+    if not depths:
+        return
+    ratios = [depth / cap for depth, cap in depths.values() if cap is not None and cap > 0.0]
+    middle_mm = float(np.median([depth for depth, _ in depths.values()]))
+    if ratios:
+        ratio = float(np.median(ratios))
+        if 1.0 / _DEPTH_FACTOR <= ratio <= _DEPTH_FACTOR:
+            return
+        why = f"but ball diameter and contact circles give about {middle_mm / ratio:.3g} mm"
+    elif _DEPTHS_MM[0] <= middle_mm <= _DEPTHS_MM[1]:
+        return
+    else:
+        ratio = middle_mm / 1.0
+        why = f"but {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
+    unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
+    others = [n for n in SIZES if n != "depth_mm" and isinstance(getattr(recipe.indenter, n), str)]
+    if others:  # their columns may be in mm all the same
+        unit = f"{{ depth_mm = {unit} }}"
+    told, remedy = "indenter.depth_mm", f"If the column is in another unit, write columns_in = {unit} below [indenter]"
+    if recipe.indenter.depth_mm is None:
+        by_map = recipe.contact is not None and recipe.contact.depth_map is not None
+        told = "contact.depth_map" if by_map else "indenter.pose"
+        remedy = "If its values are in another unit, correct " + ("value_mm" if by_map else "unit and first_touch_mm")
+    raise ImportFormatError(
+        f"recipe '{recipe.name}', {told}: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
+        f"{why}. {remedy}; else correct the depths, the scale or the ball's diameter"
+    )

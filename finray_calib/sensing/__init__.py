@@ -16,11 +16,13 @@ if TYPE_CHECKING:
         FoundCircle,
         changes_elsewhere,
         contact_distance,
+        contact_of_depths,
         find_contact_circle,
         find_contact_outline,
         misplaced_circle,
         outline_distance,
         vote_on_circles,
+        with_far_surface,
     )
     from finray_calib.sensing._lens_calibration import (
         BoardView,
@@ -72,6 +74,7 @@ __all__ = [
     "calibrate_lens",
     "changes_elsewhere",
     "contact_distance",
+    "contact_of_depths",
     "contact_sha256",
     "find_board",
     "find_contact_circle",
@@ -99,5 +102,6 @@ __all__ = [
     "surface_triangles",
     "uniformity",
     "vote_on_circles",
+    "with_far_surface",
     "with_measured_scale",
 ]

@@ -335,6 +335,69 @@ def find_contact_outline(capture: TactileCapture) -> tuple[PlaceInImage, ...]:
     return tuple(PlaceInImage(column_px=float(column), row_px=float(row)) for column, row in hull)
 
 
+#: A region that shares this much with the circle of its area and centroid is a circle.
+_ROUND_SHARE = 0.9
+
+
+def contact_of_depths(depths_mm: Floats, least_mm: float) -> tuple[ContactCircle | None, tuple[PlaceInImage, ...]]:
+    """Return where a gel is deeper than a depth, around its deepest pixel: the circle, if it is round, and the outline.
+
+    Parameters
+    ----------
+    depths_mm : ndarray, shape (H, W)
+        Positive into the gel.
+    least_mm
+        Below the greatest depth.
+
+    Returns
+    -------
+    tuple
+        The circle of the region's centroid and area, where 90 % of both together are common to both; and the corners
+        of the outline through the pixels at the region's rim.
+    """
+    _, parts = cv2.connectedComponents((depths_mm > least_mm).astype(np.uint8))
+    part = parts == parts[np.unravel_index(int(np.argmax(depths_mm)), depths_mm.shape)]
+    rims, _ = cv2.findContours(part.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    rim = cv2.approxPolyDP(max(rims, key=len), 0.5, True)[:, 0]
+    corners = tuple(PlaceInImage(column_px=float(column), row_px=float(row)) for column, row in rim)
+    rows, columns = np.nonzero(part)
+    row_px, column_px, radius_px = rows.mean(), columns.mean(), np.sqrt(part.sum() / np.pi)
+    y, x = np.indices(part.shape)
+    disc = np.hypot(y - row_px, x - column_px) < radius_px
+    if (disc & part).sum() < _ROUND_SHARE * (disc | part).sum():
+        return None, corners
+    return ContactCircle(row_px=float(row_px), column_px=float(column_px), radius_px=float(radius_px)), corners
+
+
+#: Pixels this far from the contact, in half-widths, give the smooth surface that stands for no contact.
+_FAR_HALF_WIDTHS = 1.6
+_SURFACE_DEGREE = 3
+
+
+def with_far_surface(capture: TactileCapture) -> TactileCapture:
+    """Return the capture with a smooth surface through its far pixels in the place of a no-contact image.
+
+    Raises
+    ------
+    CompareError
+        The place of its contact is not known, or too little of the picture is far from it.
+    """
+    distance = contact_distance(capture)
+    if distance is None:
+        raise CompareError("the place of its contact is not known, and so neither are the pixels far from it")
+    rows, columns = distance.shape
+    y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
+    powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
+    terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
+    values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
+    far = (distance > _FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
+    if far.mean() < 0.1:
+        raise CompareError("less than a tenth of the picture is far from its contact: give an image without contact")
+    surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
+    limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
+    return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})
+
+
 def _log_change(contact: Floats, no_contact: Floats, sigma_px: float) -> Image:
     """Return ln(contact / no contact), smoothed, less the plane of most pixels per channel."""
     smooth = [cv2.GaussianBlur(image, (0, 0), sigma_px) for image in (contact, no_contact)]

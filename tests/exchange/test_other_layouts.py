@@ -40,6 +40,8 @@ def put(path, image):
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".npy":
         np.save(path, image)
+    elif path.suffix == ".heic":  # nothing here writes one
+        path.write_bytes(b"\0\0\0\x18ftypheic")
     else:
         order = [2, 1, 0, 3][: image.shape[2]] if image.ndim == 3 else slice(None)
         assert cv2.imwrite(str(path), np.ascontiguousarray(image[..., order] if image.ndim == 3 else image))
@@ -83,6 +85,10 @@ def assert_same_picture(found, image, name):
         ("p{}.png", "rest.png", opaque, {}, "p{press}.png", 8),
         ("p{}.png", "rest.png", twelve_bits, {"bit_depth": 12}, "p{press}.png", 12),
         ("p{}.npy", "rest.npy", same, {"channels": "RGB"}, "p{press}.npy", 8),
+        ("p{}.tif", "rest.tiff", same, {}, "p{press}.tif", 8),
+        ("p{}.tif", "rest.tif", twelve_bits, {"bit_depth": 12}, "p{press}.tif", 12),
+        ("p{}.bmp", "rest.bmp", same, {}, "p{press}.bmp", 8),
+        ("p{}.webp", "rest.webp", same, {}, "p{press}.webp", 8),
         ("a ball/p{}.png", "a ball/rest.png", same, {}, "{press}.png", 8),
     ],
 )
@@ -111,7 +117,12 @@ def test_layouts_that_are_read(tmp_path, files, rest, change, picture, names, bi
             "rest.PNG",
             r"upper and lower case count\); the folder holds, for example, .*p[1-5]\.PNG",
         ),
-        ("p{}.tif", "p{press}.tif", "rest.tif", r"convert all pictures without loss, such as with 'mogrify"),
+        (
+            "p{}.bmp",
+            "p{press}.bmp",
+            "rest.heic",
+            r"rest\.heic: is neither .* such as with 'mogrify -format png \*\.heic'",
+        ),
         ("p{}.npy", "p{press}.npy", "rest.npy", r'does not state the order of its channels; write channels = "RGB"'),
     ],
 )
@@ -487,6 +498,7 @@ def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, te
     [
         (".h5", r"numpy\.save\(f'\{k\}\.npy', image\) for k, image in enumerate\(h5py\.File\('1\.h5'\)\['NAME'\]\)\]$"),
         (".webp", r"such as with 'mogrify -format png \*\.webp'"),
+        (".heic", r"such as with 'mogrify -format png \*\.heic'"),
         # 'mogrify -format png *.png' would write over the originals
         (
             ".png",
@@ -496,7 +508,7 @@ def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, te
             ".JPG",
             r"1\.JPG: is neither .*; its content does not match the ending of its name: copy it again from its source$",
         ),
-        (".mp4", r"1\.mp4: is neither .*; convert the video: ffmpeg -i VIDEO -c:v mjpeg"),
+        (".mp4", r"no_contact\.frames_before is missing; state how many frames of a video are without contact"),
     ],
 )
 def test_stacks_and_other_pictures_are_refused_with_what_converts_them(tmp_path, ending, message):

@@ -22,7 +22,7 @@ from finray_calib.exchange import (
     recipe_names,
     with_sizes,
 )
-from finray_calib.exchange._capture_recipe import pickle_words
+from finray_calib.exchange._lab_measurements import pickle_words
 from finray_calib.sensing import _contact_place as contact_place
 from finray_calib.sensing import contact_distance, find_contact_circle
 from finray_calib.sensing._contact_place import _coarse
@@ -313,7 +313,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
             "outside the picture of 160 x 120 px; check whether row and",
         ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
-        (('file = "rest.png"', "frames_before = 3"), None, r"for Motion-JPEG videos \(\.avi\), and a\.png is not one"),
+        (('file = "rest.png"', "frames_before = 3"), None, r"for videos \(\.avi, .*\), and a\.png is not one"),
         (
             ("[indenter]\n", CIRCLE),
             ("t.csv", "{press}.npz"),
@@ -374,9 +374,9 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "is not an AVI video; convert the video: ffmpeg"),
+        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video: ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
-        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "its frames are not JPEG pictures"),
+        (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "cannot be decoded as a video"),
     ],
 )
 def test_files_that_are_no_motion_jpeg_are_refused(tmp_path, content, message):
@@ -414,7 +414,7 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px\n77,1,1,1\n")
     for words, message in (
         ("fots --recipe fots-gelsight --circles mine.csv", "77 is not a press of fots"),
-        ("fots", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
+        ("", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
         ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4, for 5 presses"),
     ):
         failed = finray(f"import captures {words} --out no")

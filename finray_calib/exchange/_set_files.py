@@ -1,0 +1,644 @@
+"""Files of sets of presses: pictures, arrays, tables, frames of videos with those that hold the contact.
+
+Also what a folder of such files holds, for those who write a recipe.
+"""
+
+import json
+import os
+import re
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data_schemas import ImportFormatError
+from data_schemas.storage import (
+    files_below,
+    folder_at,
+    has_file,
+    parse_in_child,
+    parse_json,
+    read_bytes,
+    read_csv,
+    read_json,
+    read_npy,
+    read_text,
+)
+from finray_calib.exchange._ball_presses import read_npz
+from finray_calib.exchange._paint_reradiation import exr_pixels
+from rigs.cameras import decoded_picture
+
+Floats = NDArray[np.float64]
+
+VIDEOS: Final = (".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm")
+_MOST_DECODED_BYTES = 512 << 20
+LARGEST_VIDEO_BYTES = 512 << 20
+MOST_FRAMES = 20_000
+_HEADER_BYTES = 8
+_DEEPEST_LIST = 6
+CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
+
+
+def video_frames(path: Path) -> list[bytes]:
+    """Return the bytes of every frame of a video, JPEG (Motion JPEG in AVI) or PNG (decoded), in order.
+
+    Raises
+    ------
+    ImportFormatError
+        The file is missing, its frames cannot be decoded, or there are too many.
+    """
+    content = read_bytes(path, "a video", ImportFormatError, LARGEST_VIDEO_BYTES)
+    if (frames := _motion_jpeg_frames(content, path)) is not None:
+        return frames
+    _, found = parse_in_child(f"{__name__}:decoded_video", content, path, "a video", ImportFormatError)
+    ends = np.cumsum(found["sizes"])
+    whole = found["frames"].tobytes()
+    return [whole[end - size : end] for end, size in zip(ends, found["sizes"], strict=True)]
+
+
+def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
+    """Decode a video into PNG frames; the child's side of :func:`video_frames`."""
+    frames: list[NDArray[np.uint8]] = []
+    decoded = 0
+    with TemporaryDirectory(prefix="finray-video-") as folder:
+        file = Path(folder) / "video"
+        file.write_bytes(content)
+        os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = "threads;1"
+        video = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
+        while (read := video.read())[0]:
+            decoded += read[1].nbytes
+            if decoded > _MOST_DECODED_BYTES or len(frames) == MOST_FRAMES:
+                raise ImportFormatError(
+                    f"{where}: takes more than {_MOST_DECODED_BYTES >> 20} MB when decoded; cut the video, or "
+                    f"{CONVERT_VIDEO}"
+                )
+            frames.append(cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].ravel())
+        video.release()
+    if not frames:
+        raise ImportFormatError(f"{where}: cannot be decoded as a video; {CONVERT_VIDEO}")
+    sizes = np.array([frame.size for frame in frames], dtype=np.int64)
+    return None, {"frames": np.concatenate(frames), "sizes": sizes}
+
+
+def _motion_jpeg_frames(content: bytes, path: Path) -> list[bytes] | None:
+    """Return the JPEG bytes of every frame of an AVI file, in order; None where it is none, or its frames are not."""
+    if content[:4] != b"RIFF" or content[8:12] != b"AVI ":
+        return None
+    frames: list[bytes] = []
+    for part in _video_parts(content, 0, len(content), 0):
+        # a frame without content is one that was dropped: the one before it is shown again
+        frames += [part] if part else frames[-1:]
+    if not frames or len(frames) > MOST_FRAMES:
+        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
+    return frames if all(frame.startswith(b"\xff\xd8") for frame in frames) else None
+
+
+def _video_parts(content: bytes, at: int, end: int, depth: int) -> Iterator[bytes]:
+    """Return the video chunks between two places; lists are entered, what is cut off is left out."""
+    while at + _HEADER_BYTES <= end:
+        name, size = content[at : at + 4], struct.unpack("<I", content[at + 4 : at + 8])[0]
+        start, stop = at + _HEADER_BYTES, at + _HEADER_BYTES + size
+        if name in (b"RIFF", b"LIST") and depth < _DEEPEST_LIST:
+            yield from _video_parts(content, start + 4, min(stop, end), depth + 1)
+        elif name[2:] in (b"dc", b"db") and stop <= end:
+            yield content[start:stop]
+        at = stop + size % 2
+
+
+#: Frames whose change is at least the first share of the largest hold the contact; below the other there is none.
+HOLD_SHARE, REST_SHARE = 0.9, 0.3
+
+
+def longest_hold(strength: Floats) -> int:
+    """Return the middle of the longest run of frames near the largest value."""
+    held = np.concatenate([[False], strength >= HOLD_SHARE * strength.max(), [False]])
+    starts, stops = np.flatnonzero(~held[:-1] & held[1:]), np.flatnonzero(held[:-1] & ~held[1:])
+    longest = int(np.argmax(stops - starts))
+    return int((starts[longest] + stops[longest] - 1) // 2)
+
+
+def small_frame(picture: NDArray[Any]) -> Floats:
+    """Return a frame in few pixels, for choosing frames."""
+    return np.asarray(cv2.resize(picture, (160, 120), interpolation=cv2.INTER_AREA), dtype=np.float64)
+
+
+def begins_early(strength: Floats, before: int, outliers: int) -> bool:
+    """Return whether contact begins within the first frames, by their change; so many readings may be wrong."""
+    # noise makes all later frames differ from the first one alike
+    rest = np.sort(strength[1:before])
+    if rest.size <= 2 * outliers:
+        return False
+    rises = rest[-1 - outliers] - rest[0]
+    return bool(rises > REST_SHARE * (strength.max() - rest[0]))
+
+
+_BITS: Final = {np.dtype(np.uint8): 8, np.dtype(np.uint16): 16}
+_PICTURE: Final = "a picture (PNG, JPEG, TIFF, WebP, BMP, npy) or OpenEXR image"
+_UPRIGHT = 1
+_ORIENTATION_TAG = 0x0112
+TIFF_STARTS: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BMP_START: Final = b"BM"
+#: More pixels of an OpenEXR image above full scale than these are no highlight, and fewer steps below it no picture.
+_MOST_ABOVE_FULL, _LEAST_STEPS = 0.01, 256
+ARRAY_FILES: Final = (".npz", ".npy", ".tif", ".tiff")
+_MOST_KEPT = 2
+_ARRAY_PLACE = re.compile(r"(?P<file>.+?)::(?P<array>[^\[\]]*)(?:\[(?P<index>\d+)\])?")
+
+
+class ArrayFiles:
+    """Read arrays of npz, npy and TIFF files; those of the last files are kept, since many presses need them."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Path, tuple[Mapping[str, NDArray[Any]], tuple[str, ...]]] = {}
+
+    def of(self, path: Path) -> tuple[Mapping[str, NDArray[Any]], tuple[str, ...]]:
+        """Return the arrays of a file by name, and the names of its pickled ones; an npy or TIFF file has one, ""."""
+        if path not in self._kept:
+            while len(self._kept) >= _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            kind = path.suffix.lower()
+            if kind not in ARRAY_FILES:
+                raise ImportFormatError(
+                    f"{path}: arrays of pictures are read from {', '.join(ARRAY_FILES)}; {_conversion(path)}"
+                )
+            if kind == ".npz":
+                self._kept[path] = read_npz(path)
+            else:
+                self._kept[path] = ({"": _stack(path)}, ())
+        return self._kept[path]
+
+    def array(self, path: Path, name: str) -> NDArray[Any]:
+        """Return one of them."""
+        arrays, pickled = self.of(path)
+        if name in pickled:
+            raise ImportFormatError(
+                f"{path}: '{name}' is stored as pickled objects, which are never loaded; have its owner save it again "
+                "as a plain array (numpy.savez with equal shapes)"
+            )
+        if name not in arrays:
+            raise ImportFormatError(
+                f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}"
+            )
+        return arrays[name]
+
+    def count(self, path: Path, name: str) -> int:
+        """Return the number of pictures in an array."""
+        array = self.array(path, name)
+        if array.ndim not in (3, 4):
+            raise ImportFormatError(
+                f"{path}: '{name}' of shape {array.shape} is no array of pictures; (pictures, rows, columns, 3) is "
+                "needed, or (pictures, rows, columns) for grey"
+            )
+        return len(array)
+
+    def picture(self, path: Path) -> NDArray[Any]:
+        """Return the picture at a path into an array, ``set.npz::images[3]``."""
+        place = _ARRAY_PLACE.fullmatch(path.name)
+        if place is None:
+            raise ImportFormatError(f"{path}: must end in ::ARRAY or ::ARRAY[number], such as ::images[3]; correct it")
+        array = self.array(path.with_name(place["file"]), place["array"])
+        if place["index"] is None:
+            return array
+        if array.ndim < 3 or int(place["index"]) >= len(array):
+            raise ImportFormatError(f"{path}: the array of shape {array.shape} has no such picture; correct the recipe")
+        return np.asarray(array[int(place["index"])])
+
+
+def file_of(path: Path) -> Path:
+    """Return the file of a path, which may lead into an array of it."""
+    return path.with_name(path.name.partition("::")[0])
+
+
+def _stack(path: Path) -> NDArray[Any]:
+    """Return the array of an npy file, or all pictures of a TIFF."""
+    if path.suffix.lower() == ".npy":
+        return read_npy(path, _PICTURE, ImportFormatError)
+    content = read_bytes(path, "a stack of pictures (TIFF)", ImportFormatError)
+    return parse_in_child(f"{__name__}:decoded_pages", content, path, "TIFF", ImportFormatError)[1]["pages"]
+
+
+def decoded_pages(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
+    """Decode all pictures of a file of a kind that few programs write, in RGB order; run in a child process."""
+    try:
+        is_read, pages = cv2.imdecodemulti(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        is_read, pages = False, ()
+    if not is_read or not pages:
+        raise ImportFormatError(f"{where}: cannot be decoded; the picture is damaged: copy it again")
+    if len({page.shape for page in pages}) > 1:
+        raise ImportFormatError(f"{where}: holds pictures of several sizes; save each as a file of its own")
+    stack = np.stack(pages)
+    return None, {"pages": stack if stack.ndim == 3 else np.ascontiguousarray(stack[..., _RGB[stack.shape[-1]]])}
+
+
+_RGB: Final = {1: [0], 2: [0, 1], 3: [2, 1, 0], 4: [2, 1, 0, 3]}
+
+
+def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
+    """Return a picture as stored, (H, W, 3) in RGB order, or (H, W, 1) where it is grey; arrays in their own order.
+
+    Parameters
+    ----------
+    path
+        A file, or a picture in an array of one.
+    arrays
+        Keeps files of arrays that are read more than once.
+
+    Raises
+    ------
+    ImportFormatError
+        It is missing, of another kind or depth, turned by a mark that viewers follow, or transparent in part.
+    """
+    if not has_file(file_of(path)):
+        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+    if file_of(path) != path:
+        return _counts_array((arrays or ArrayFiles()).picture(path), path)
+    if path.suffix.lower() == ".npy":
+        return _counts_array(read_npy(path, _PICTURE, ImportFormatError), path)
+    content = read_bytes(path, _PICTURE, ImportFormatError)
+    is_common = content.startswith((b"\x89PNG", b"\xff\xd8"))
+    if not is_common and not content.startswith((*TIFF_STARTS, _BMP_START)) and content[8:12] != b"WEBP":
+        raise ImportFormatError(
+            f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
+            f"read (TIFF, WebP, BMP, npy, OpenEXR); {_conversion(path)}"
+        )
+    if (turned := orientation(content)) != _UPRIGHT:
+        raise ImportFormatError(
+            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
+            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
+            "themselves, as 'mogrify -auto-orient' does, and label the result"
+        )
+    if is_common:
+        return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
+    pages = parse_in_child(f"{__name__}:decoded_pages", content, path, "a picture", ImportFormatError)[1]["pages"]
+    if len(pages) > 1:
+        raise ImportFormatError(
+            f"{path}: holds {len(pages)} pictures; write {path.name}::[{{press}}] where each is a press, or "
+            f"{path.name}::[0] for the first"
+        )
+    page = pages[0]
+    return _in_rgb(page if page.ndim == 2 else page[..., _RGB[page.shape[2]]], path)
+
+
+_OPENED: Final = {
+    ".npz": "numpy.load(FILE)",
+    ".h5": "h5py.File(FILE)",
+    ".hdf5": "h5py.File(FILE)",
+    ".mat": "scipy.io.loadmat(FILE)",
+}
+
+
+def _conversion(path: Path) -> str:
+    """Say how pictures of another kind, or a stack of them, become files that are read, one for each press."""
+    kind = path.suffix.lower()
+    if kind in (".png", ".jpg", ".jpeg"):  # a conversion by name would write over the originals
+        return "its content does not match the ending of its name: copy it again from its source"
+    if kind in (".mp4", ".mov", ".mkv", ".webm"):
+        return CONVERT_VIDEO
+    opened = _OPENED.get(kind)
+    if opened is None:
+        return (
+            "convert all pictures without loss, such as with "
+            f"'mogrify -format png *{path.suffix or '.tif'}', and name these"
+        )
+    images = f"{opened.replace('FILE', repr(path.name))}['NAME']"
+    return (
+        "it may hold many pictures: save each as a file of its own, as uint8 or uint16, in Python by "
+        f"[numpy.save(f'{{k}}.npy', image) for k, image in enumerate({images})]"
+    )
+
+
+def _counts_array(array: NDArray[Any], path: Path) -> NDArray[Any]:
+    """Return an array of counts or fractions, (H, W, 3), or (H, W, 1) where it is grey."""
+    if array.ndim == 3 and array.shape[0] in (1, 3) and array.shape[2] not in (1, 3):
+        array = np.moveaxis(array, 0, 2)  # the order of PyTorch
+    known = array.dtype in _BITS or array.dtype.kind == "f"
+    if not known or array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,)):
+        raise ImportFormatError(
+            f"{path}: holds {array.dtype} of shape {array.shape}; uint8, uint16 or fractions of shape (rows, columns, "
+            "3), or (rows, columns) for grey, are read: save each picture as the counts of the camera"
+        )
+    return array[..., None] if array.ndim == 2 else array
+
+
+def map_of(path: Path, arrays: ArrayFiles) -> Floats:
+    """Return a map of one value per pixel, (H, W), such as depths: grey pictures, OpenEXR of one channel, arrays.
+
+    Raises
+    ------
+    ImportFormatError
+        It is missing, has several values per pixel, or holds some that are no numbers.
+    """
+    if not has_file(file_of(path)):
+        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+    if path.suffix.lower() == ".exr":
+        values = np.stack([np.asarray(channel) for channel in exr_pixels(path).values()], axis=-1)
+    elif file_of(path) != path:
+        values = arrays.picture(path)
+    elif path.suffix.lower() in (".npy", ".tif", ".tiff"):
+        values = _stack(path)
+        values = values[0] if path.suffix.lower() != ".npy" and len(values) == 1 else values
+    else:
+        values = pixels_of(path)
+    if values.ndim == 3 and (values == values[..., :1]).all():
+        values = values[..., 0]
+    if values.ndim != 2:
+        raise ImportFormatError(
+            f"{path}: a map needs one value per pixel, got the shape {values.shape}; colours of a picture of a map "
+            "cannot be read as values: give the map itself"
+        )
+    if not np.isfinite(values).all():
+        raise ImportFormatError(
+            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are not finite; fill them, or name the "
+            "press in presses.leave_out"
+        )
+    return values.astype(np.float64)
+
+
+def frame_of(content: bytes, path: Path) -> NDArray[Any]:
+    """Return a frame of a video, (H, W, 3) in RGB order."""
+    return in_colour(_in_rgb(decoded_picture(content, path, ImportFormatError), path))
+
+
+def in_colour(picture: NDArray[Any]) -> NDArray[Any]:
+    """Return a picture of one or three channels with three."""
+    return picture if picture.shape[2] == 3 else np.repeat(picture, 3, axis=2)
+
+
+def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
+    """Return what OpenCV decoded with its channels in the order of RGB, without an opaque alpha channel."""
+    if picture.dtype not in _BITS:
+        raise ImportFormatError(f"{path}: holds {picture.dtype}; pictures of 8 or 16 bits are read: convert it")
+    if picture.ndim == 2:
+        return picture[..., None]
+    if picture.shape[2] == 4 and (clear := picture[..., 3] < np.iinfo(picture.dtype).max).any():
+        raise ImportFormatError(
+            f"{path}: {100 * clear.mean():.2g} % of its pixels are transparent, and their colours are not those of the "
+            "camera; save it without transparency, as the camera took it, or render it opaque"
+        )
+    return picture[..., 2::-1]
+
+
+def orientation(content: bytes) -> int:
+    """Return how a picture is marked to be turned (EXIF): 1 for upright, or where it says nothing that is known."""
+    if content.startswith(TIFF_STARTS[:2]):
+        exif = content
+    else:
+        mark, behind = (b"Exif\0\0", 6) if content.startswith((b"\xff\xd8", b"RIFF")) else (b"eXIf", 4)
+        at = content.find(mark, 0, 1 << 16) if content.startswith(b"\xff\xd8") else content.find(mark)
+        if at < 0:
+            return _UPRIGHT
+        exif = content[at + behind : at + behind + (1 << 16)]
+    order = {b"II": "little", b"MM": "big"}.get(exif[:2])
+    if order not in ("little", "big"):
+        return _UPRIGHT
+
+    def number(place: int, size: int) -> int:
+        return int.from_bytes(exif[place : place + size], "big" if order == "big" else "little")
+
+    first = number(4, 4)
+    for entry in range(first + 2, first + 2 + 12 * min(number(first, 2), 256), 12):
+        if number(entry, 2) == _ORIENTATION_TAG and 1 <= number(entry + 8, 2) <= 8:
+            return number(entry + 8, 2)
+    return _UPRIGHT
+
+
+def steps_of(image: NDArray[Any], path: Path, full_scale_rel: float) -> NDArray[np.uint16]:
+    """Return values of light (H, W, channels) in steps of which 65535 are full scale.
+
+    Raises
+    ------
+    ImportFormatError
+        Some are no numbers or below 0, much of it lies above full scale, or so little of the scale is used that steps
+        would be seen.
+    """
+    if not np.isfinite(image).all() or image.min(initial=0.0) < 0.0:
+        raise ImportFormatError(f"{path}: holds values that are not finite or below 0; render or save it again")
+    largest, above = float(image.max()), float((image > full_scale_rel).mean())
+    if above > _MOST_ABOVE_FULL or largest * 65535.0 < _LEAST_STEPS * full_scale_rel:
+        what = (
+            f"{100 * above:.3g} % of its values lie above picture.full_scale = {full_scale_rel:g} and would be clipped"
+            if above > _MOST_ABOVE_FULL
+            else f"its values fill only {largest / full_scale_rel * 65535.0:.3g} of the 65535 steps below "
+            f"picture.full_scale = {full_scale_rel:g}"
+        )
+        raise ImportFormatError(
+            f"{path}: {what}; its largest value is {largest:.4g}: give a full scale a little above the largest value "
+            "of all pictures"
+        )
+    return np.clip(np.rint(image / full_scale_rel * 65535.0), 0.0, 65535.0).astype(np.uint16)
+
+
+def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
+    """Refuse pictures of one press of different depths or numbers of channels: their values mean different light.
+
+    Raises
+    ------
+    ImportFormatError
+        Two of them differ.
+    """
+    (first_path, first), *others = pictures.items()
+    for path, picture in others:
+        kinds = [
+            f"{_BITS[p.dtype]} bits, {'grey' if p.shape[2] == 1 else 'colour'}"
+            + (" and light (OpenEXR)" if file.suffix.lower() == ".exr" else "")
+            for file, p in ((first_path, first), (path, picture))
+        ]
+        if kinds[0] != kinds[1]:
+            raise ImportFormatError(
+                f"{first_path} has {kinds[0]}, {path} has {kinds[1]}: values of the two cannot be compared; save the "
+                "pictures of all presses and those without contact in one format"
+            )
+
+
+def exr_rgb(path: Path) -> Floats:
+    """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero."""
+    found: dict[str, NDArray[Any]] = exr_pixels(path)
+    names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
+    if not {"R", "G", "B"} <= names.keys():
+        raise ImportFormatError(f"{path}: needs the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
+    image = np.stack([np.asarray(found[names[c]], dtype=np.float64) for c in "RGB"], axis=-1)
+    if image.ndim != 3 or not np.isfinite(image).all():
+        raise ImportFormatError(f"{path}: holds values that are not finite; render it again")
+    return np.maximum(image, 0.0)
+
+
+_TABLES: Final = (".jsonl", ".ndjson")
+
+
+def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
+    kind = path.suffix.lower()
+    if kind not in (".json", *_TABLES):
+        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True)
+        return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
+    if kind == ".json":
+        whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
+        if isinstance(whole, dict):  # such as { "version": 1, "presses": [ ... ] }
+            lists = [of for of in whole.values() if isinstance(of, list) and of and isinstance(of[0], dict)]
+            whole = lists[0] if len(lists) == 1 else whole
+    else:
+        text = read_text(path, "labels (JSON lines)", ImportFormatError)
+        said = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+        whole = [
+            parse_json(line.encode(), f"{path}, line {number}", ImportFormatError, any_number=True)
+            for number, line in said
+        ]
+    if not isinstance(whole, list) or not all(isinstance(of, dict) for of in whole):
+        raise ImportFormatError(f"{path}: must be a list of objects, [{{ ... }}, ...], with one for each press")
+    rows = [{key: _cell(value) for key, value in _flat(of)} for of in whole]
+    return list(dict.fromkeys(key for row in rows for key in row)), rows
+
+
+def _cell(value: object) -> str:
+    """Return a value of a JSON file as the cell of a table."""
+    return value if isinstance(value, str) else "" if value is None or isinstance(value, bool) else repr(value)
+
+
+def _flat(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield key and value of an object and of all in it: outer.inner, and list[0] of lists."""
+    inside = list(whole.items())
+    for key, value in inside:  # grows while it is read
+        if isinstance(value, dict):
+            inside += [(f"{key}.{inner}", of) for inner, of in value.items()]
+        elif isinstance(value, list):
+            inside += [(f"{key}[{k}]", of) for k, of in enumerate(value)]
+        else:
+            yield key, value
+
+
+@dataclass(frozen=True, slots=True)
+class FolderSurvey:
+    """What a folder of files that no recipe reads yet holds, a line for each kind, and the start of a recipe for it."""
+
+    lines: tuple[str, ...]
+    recipe: str
+
+
+_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".npy")
+_NO_CONTACT: Final = re.compile(r"(^|[^a-z])(bg|background|ref|rest|flat|empty|no_?contact|no_?touch|init)", re.I)
+_GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
+_RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
+_MOST_SURVEYED = 20_000
+_RECIPE_START: Final = """\
+name = "mine"
+what = "DESCRIBE: what was pressed, with which sensor, by whom"
+# licence = "CC BY 4.0"
+
+[presses]
+files = {files}
+
+[picture]
+channels = "RGB"              # "BGR" where red and blue are exchanged
+
+[no_contact]
+{no_contact}
+
+[contact]                     # better: circle, outline or depth_map of the files below
+search = "circle"
+
+# [scale]
+# mm_per_px = 0.05
+
+[indenter]
+shape = "ball"                # or cylinder, cuboid, mesh
+# diameter_mm = 4.0
+# depth_mm = "{{depth}}"        # a part of the name, or a column
+
+# what else lies in the folder:
+{rest}
+"""
+
+
+def survey_folder(folder: Path) -> FolderSurvey:
+    """Say what a folder of another lab holds, and write the start of a recipe for it.
+
+    Files whose names differ in their numbers only are one kind. Those with the most pictures are taken for the presses;
+    a picture whose name says so, for the one without contact. Nothing else is guessed.
+
+    Parameters
+    ----------
+    folder
+        Of the set, or a zip archive of it.
+
+    Raises
+    ------
+    ImportFormatError
+        There is no such folder, or no file in it.
+    """
+    inside = folder_at(folder, ImportFormatError)
+    if inside is None:
+        raise ImportFormatError(f"{folder}: no such folder or zip archive; give the folder of the set")
+    kinds: dict[str, list[str]] = {}
+    for path in sorted(islice(files_below(inside), _MOST_SURVEYED)):
+        name = path.relative_to(inside).as_posix()
+        if not path.name.startswith("."):
+            kinds.setdefault(_RUN_OF_DIGITS.sub("#", name), []).append(name)
+    if not kinds:
+        raise ImportFormatError(f"{folder}: holds no file; give the folder of the set")
+    ordered = sorted(kinds.values(), key=len, reverse=True)
+    lines = [f"{len(names)} x {_pattern(names)}: {_content(inside / names[0])}" for names in ordered[:_GROUPS_SHOWN]]
+    if len(ordered) > _GROUPS_SHOWN:
+        lines.append(f"and {len(ordered) - _GROUPS_SHOWN} more kinds of files")
+    pictures = [names for names in ordered if Path(names[0]).suffix.lower() in (*_PICTURES, *VIDEOS)]
+    touched = [names for names in pictures if not _NO_CONTACT.search(Path(names[0]).stem)] or pictures
+    untouched = [names[0] for names in pictures if _NO_CONTACT.search(Path(names[0]).stem)]
+    files = _pattern(touched[0]) if touched else "{press}.png"
+    if len(touched) > 1 and len(touched[0]) == 1:  # names without numbers
+        first = Path(touched[0][0])
+        files = (first.parent / f"{{press}}{first.suffix}").as_posix()
+    rest = "median_of_presses = true      # a substitute: better name a file"
+    if Path(files).suffix.lower() in VIDEOS:
+        rest = "frames_before = 10"
+    elif untouched:
+        rest = f"file = {json.dumps(untouched[0])}"
+    return FolderSurvey(
+        tuple(lines),
+        _RECIPE_START.format(files=json.dumps(files), no_contact=rest, rest="\n".join(f"# {line}" for line in lines)),
+    )
+
+
+def _pattern(names: Sequence[str]) -> str:
+    """Return the pattern of names that differ in their numbers: {press}, or {a}, {b}, ... where several do."""
+    numbers = np.array([_RUN_OF_DIGITS.findall(name) for name in names])
+    between = _RUN_OF_DIGITS.split(names[0])
+    differ = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
+    words = dict.fromkeys(differ, "press")
+    if len(differ) > 1:
+        words = dict(zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False))
+    held = [f"{{{words[k]}}}" if k in words else numbers[0, k] for k in range(numbers.shape[1])]
+    return "".join(part + number for part, number in zip(between, [*held, ""], strict=True))
+
+
+def _content(path: Path) -> str:
+    """Return what a file of a set holds, in words; what cannot be read says why not."""
+    kind = path.suffix.lower()
+    try:
+        whole = read_json(path, "labels", ImportFormatError, any_number=True) if kind == ".json" else None
+        if isinstance(whole, dict) and not any(isinstance(of, list) for of in whole.values()):
+            keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
+            return f"object of {len(whole)} keys: {', '.join(keys)}"
+        if kind in (".csv", ".tsv", *_TABLES, ".json"):
+            columns, rows = table_rows(path)
+            more = ", ..." if len(columns) > _KEYS_SHOWN else ""
+            return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"
+        if kind in (".npz", ".npy"):
+            arrays, pickled = ArrayFiles().of(path)
+            shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
+            return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
+        if kind in VIDEOS:
+            return f"video of {len(video_frames(path))} frames"
+        if kind in _PICTURES:
+            picture = exr_rgb(path) if kind == ".exr" else pixels_of(path)
+            colours = "grey" if picture.shape[2] == 1 else "colour"
+            return f"picture of {picture.shape[1]} x {picture.shape[0]} px, {picture.dtype}, {colours}"
+    except ImportFormatError as why:
+        return str(why).removeprefix(f"{path}: ")
+    return "not read"

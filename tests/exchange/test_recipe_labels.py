@@ -1,0 +1,336 @@
+"""Labels that a recipe finds: in names, maps of depths, poses, arrays, tables of JSON, lines of the nearest time."""
+
+import json
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+
+from data_schemas import ImportFormatError
+from finray_calib.exchange import Recipe, read_by_recipe
+from tests.command_line.running import finray, succeed
+from tests.exchange.ball_press_folders import eight_bits
+from tests.exchange.recipe_folders import BALL_PX, CONTACT_PX, PLACES, grasp
+from tests.exchange.test_other_layouts import PRESSES, SIXTEEN, UNTOUCHED, put
+
+
+def pit(row, column):
+    """Depths in mm of a ball of 46 px, at 0.1 mm a pixel, within the circle of its contact."""
+    rows, columns = np.indices(UNTOUCHED.shape[:2])
+    away = np.hypot(rows - row, columns - column)
+    return 0.1 * np.maximum(np.sqrt(np.maximum(BALL_PX**2 - away**2, 0.0)) - np.sqrt(BALL_PX**2 - CONTACT_PX**2), 0.0)
+
+
+DEEPEST_MM = 0.1 * (BALL_PX - np.sqrt(BALL_PX**2 - CONTACT_PX**2))
+
+
+def told(text):
+    """A recipe of a few lines, in which [picture], [contact], [indenter] and [force] may be missing."""
+    said = tomllib.loads(text)
+    return Recipe.model_validate(
+        {"name": "t", "what": "t", **said, "indenter": {"shape": "ball"} | said.get("indenter", {})}
+    )
+
+
+def test_parts_of_a_name_are_numbers_and_name_other_files(tmp_path):
+    for k, image in enumerate(PRESSES):
+        shape, mm = ("ball", 9) if k < 3 else ("edge", 2)
+        put(tmp_path / f"{shape}_{mm}" / f"run{k}_z-{k + 5}0p5_x{k}_f{100 * k}.5g.png", image)
+        put(tmp_path / f"{shape}_{mm}" / f"rest{k}.png", UNTOUCHED)
+    recipe = told("""
+        presses = { files = "{solid}_{width}/run{run}_z-{z}_x{x}_f{force}g.png" }
+        no_contact = { file = "{solid}_{width}/rest{run}.png" }
+        force = { column = "{force}", unit = "g" }
+        [indenter]
+        shape = { "ball*" = "ball", "edge*" = "cuboid" }
+        radius_mm = "{width}"
+        depth_mm = "{z}"
+        position_mm = "{x}"
+        columns_in = { depth_mm = "um", radius_mm = "cm" }
+    """)
+    found = read_by_recipe(tmp_path, recipe)
+    assert not found.left_out
+    assert next(iter(found.captures)) == "ball_9/run0_z-50p5_x0_f0.5"
+    told_of = [(c.indenter.shape, c.indenter.radius_mm, c.indenter.position_mm) for c in found.captures.values()]
+    assert told_of == [("ball", 90, 0), ("ball", 90, 1), ("ball", 90, 2), ("cuboid", 20, 3), ("cuboid", 20, 4)]
+    depths = [c.indenter.depth_mm for c in found.captures.values()]
+    assert depths == pytest.approx([0.0505, 0.0605, 0.0705, 0.0805, 0.0905])
+    # a gram weighs 9.80665 mN
+    forces = [c.force_n for c in found.captures.values()]
+    assert forces == pytest.approx([9.80665e-3 * (100 * k + 0.5) for k in range(5)])
+
+
+def numbered(folder, ending=".png"):
+    for k, image in enumerate(PRESSES):
+        put(folder / f"{k}{ending}", image)
+    put(folder / f"rest{ending}", UNTOUCHED)
+    return folder
+
+
+NUMBERED = 'presses = { files = "{press}.png", leave_out = ["rest"] }\nno_contact = { file = "rest.png" }\n'
+MAPPED = NUMBERED + '[contact.depth_map]\nfile = "map{press}"\nvalue_mm = 1\n'
+
+
+@pytest.mark.parametrize("kind", [".png", ".npy", ".tif", ".npz"])
+def test_a_map_of_depths_gives_contact_and_depth(tmp_path, kind):
+    """The circle and depth of each made-up ball are known in closed form; the map is in other units and signs."""
+    numbered(tmp_path)
+    for k, place in enumerate(PLACES):
+        depth = pit(*place)
+        if kind == ".png":
+            cv2.imwrite(str(tmp_path / f"map{k}.png"), np.rint(1000.0 * depth).astype(np.uint16))
+        elif kind == ".tif":
+            cv2.imwrite(str(tmp_path / f"map{k}.tif"), depth.astype(np.float32))
+        elif kind == ".npy":
+            np.save(tmp_path / f"map{k}.npy", 0.02 - depth / 1000.0)
+    np.savez(
+        tmp_path / "maps.npz", height=[7.0 - 1000.0 * pit(*place) for place in PLACES], rest=np.full((120, 160), 7)
+    )
+    np.save(tmp_path / "flat.npy", np.full((120, 160), 0.02))
+    value, more = {".png": (1e-3, ""), ".tif": (1.0, ""), ".npy": (-1e3, 'rest_file = "flat.npy"'),
+                   ".npz": (-1e-3, 'rest_file = "maps.npz::rest"')}[kind]  # fmt: skip
+    name = "maps.npz::height[{press}]" if kind == ".npz" else "map{press}" + kind
+    text = NUMBERED.replace("[]", "") + f'[contact.depth_map]\nfile = "{name}"\nvalue_mm = {value}\n{more}\n'
+    text = text.replace('"{press}.png", leave_out', '"{press}.png", only = "[0-9]", leave_out')
+    found = read_by_recipe(tmp_path, told(text + "[scale]\nmm_per_px = 0.1"))
+    for (row, column), capture in zip(PLACES, found.captures.values(), strict=True):
+        circle = capture.contact_circle
+        assert (circle.row_px, circle.column_px) == pytest.approx((row, column), abs=0.05)
+        # 1 % of the depth is not reached in the outer 0.5 % of the radius, nor in part of the pixels at the rim
+        assert circle.radius_px == pytest.approx(CONTACT_PX, abs=0.5)
+        assert capture.indenter.depth_mm == pytest.approx(DEEPEST_MM, abs=1e-3)
+        assert capture.contact_told_by == "label"
+    cuboids = told(text + '[indenter]\nshape = "cuboid"')
+    for (row, column), capture in zip(PLACES, read_by_recipe(tmp_path, cuboids).captures.values(), strict=True):
+        corners = np.array([(corner.row_px, corner.column_px) for corner in capture.contact_outline])
+        assert np.hypot(*(corners - (row, column)).T) == pytest.approx(CONTACT_PX, abs=1.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "text", "message"),
+    [
+        (lambda depth: depth[::2, ::2], "", r"map0\.npy: is 80 x 60 px, and the picture of 0 160 x 120 px; a map must"),
+        (lambda depth: np.where(depth > 0.1, np.nan, depth), "", r"map0\.npy: 5\.\d+ % of its values are not finite"),
+        (lambda depth: -depth, "", r"nowhere above 0 .*: where values fall as the gel is pressed in, value_mm"),
+        (lambda depth: depth / 1000.0, "", r"contact\.depth_map: the median depth of 5 .* is 0\.000458 mm.*value_mm"),
+        (lambda depth: np.dstack([depth, depth / 2.0]), "", r"one value per pixel, got the shape \(120, 160, 2\)"),
+        (lambda depth: depth, "least_depth_mm = 5.0", r"0\.458 mm at most, exceeds 5 mm in fewer than 3 pixels"),
+        (None, "", r"the map map0\.npy, which its recipe names, is missing"),
+    ],
+)  # fmt: skip
+def test_a_map_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, text, message):
+    numbered(tmp_path)
+    for k, place in enumerate(PLACES):
+        if change is not None:
+            np.save(tmp_path / f"map{k}.npy", change(pit(*place)))
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(tmp_path, told(MAPPED.replace('"map{press}"', '"map{press}.npy"') + text))
+
+
+POSED = (
+    NUMBERED
+    + """
+[indenter.pose]
+file = "poses.csv"
+press = "image"
+unit = "m"
+first_touch_mm = 50.0
+along = [0, 1, 0]
+base_mm = 10.0
+axis = [0, 0, -1]
+"""
+)
+BY_COLUMNS = 'x = "x"\ny = "y"\nz = "z"\nquaternion = { w = "qw", x = "qx", y = "qy", z = "qz" }\n'
+BY_MATRIX = f"matrix = {json.dumps([f'm{k}' for k in range(16)])}\n"
+
+
+def poses(folder, change=lambda row: row):
+    """A tool that is turned by k times 3 deg about x, and pressed in by 0.3 mm and more, at 12 mm and more."""
+    lines = [",".join(["image", "x", "y", "z", "qw", "qx", "qy", "qz", *(f"m{k}" for k in range(16))])]
+    matrices = []
+    for k in range(5):
+        half = np.radians(3.0 * k) / 2.0
+        place = (0.5, (12.0 + k) / 1000.0, (50.0 - 0.3 - 0.1 * k) / 1000.0)
+        cosine, sine = np.cos(2.0 * half), np.sin(2.0 * half)
+        matrix = [1, 0, 0, place[0], 0, cosine, -sine, place[1], 0, sine, cosine, place[2], 0, 0, 0, 1]
+        lines.append(",".join(map(str, [f"{k}.png", *change([*place, np.cos(half), np.sin(half), 0, 0, *matrix])])))
+        (folder / f"{k}.json").write_text(json.dumps({"T": np.reshape(matrix, (4, 4)).tolist()}))
+        matrices.append(np.reshape(matrix, (4, 4)))
+    np.savez(folder / "poses.npz", T=matrices)
+    (folder / "poses.csv").write_text("\n".join(lines))
+    return numbered(folder)
+
+
+@pytest.mark.parametrize(
+    ("file", "columns"),
+    [
+        ("poses.csv", BY_COLUMNS),
+        ("poses.csv", BY_MATRIX),
+        ("poses.npz", 'matrix = "T[{press}]"'),
+        ("{press}.json", 'matrix = "T"'),
+    ],
+)
+def test_poses_give_depth_place_and_tilt(tmp_path, file, columns):
+    text = POSED + columns
+    if file != "poses.csv":
+        text = text.replace("poses.csv", file).replace('press = "image"\n', "")
+    found = read_by_recipe(poses(tmp_path), told(text)).captures
+    for k, capture in enumerate(found.values()):
+        pose = capture.indenter
+        assert (pose.depth_mm, pose.position_mm, pose.tilt_deg) == pytest.approx((0.3 + 0.1 * k, 2.0 + k, 3.0 * k))
+
+
+@pytest.mark.parametrize(
+    ("change", "columns", "message"),
+    [
+        (lambda row: [*row[:3], *(2 * q for q in row[3:7]), *row[7:]], BY_COLUMNS, r"quaternion of 0 has a norm of 2,"),
+        (lambda row: [*row[:7], *np.reshape(row[7:], (4, 4)).T.ravel()], BY_MATRIX, r"of 0 is no rotation .* row by"),
+        (lambda row: [1000 * row[0], 1000 * row[1], 1000 * row[2], *row[3:]], BY_COLUMNS, r"from first touch, is -4"),
+        (lambda row: ["nan", *row[1:]], BY_COLUMNS, r"poses\.csv: x of 0 must be a number, got 'nan'"),
+    ],
+)  # fmt: skip
+def test_poses_that_cannot_be_are_refused_in_a_sentence(tmp_path, change, columns, message):
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(poses(tmp_path, change), told(POSED + columns))
+
+
+STACKED = """
+presses = { files = "SET::images[{press}]" }
+picture = { channels = "RGB" }
+no_contact = { file = "SET::rest" }
+[contact]
+file = "set.npz"
+circle = { column_px = "labels[{press}, 1]", row_px = "labels[{press}, 0]", radius_px = "radius[{press}]" }
+"""
+
+
+@pytest.mark.parametrize("kind", ["npz", "fractions", "npy", "tif"])
+def test_arrays_of_pictures_are_read(tmp_path, kind):
+    labels = {"labels": PLACES, "radius": np.full(5, CONTACT_PX)}
+    pictures = {"images": np.stack(PRESSES), "rest": UNTOUCHED}
+    if kind == "fractions":  # as PyTorch stores them
+        pictures = {name: np.moveaxis(of, -1, -3).astype(np.float32) / 255.0 for name, of in pictures.items()}
+    np.savez(tmp_path / "set.npz", **labels, **(pictures if kind in ("npz", "fractions") else {}))
+    text = STACKED
+    if kind == "npy":
+        np.save(tmp_path / "stack.npy", np.stack([*PRESSES, UNTOUCHED]))
+    elif kind == "tif":
+        cv2.imwritemulti(str(tmp_path / "stack.tif"), [image[..., ::-1].copy() for image in (*PRESSES, UNTOUCHED)])
+    if kind in ("npy", "tif"):
+        text = text.replace("SET::images", f"stack.{kind}::").replace("SET::rest", f"stack.{kind}::[5]")
+        text = text.replace('[{press}]" }\npicture', '[{press}]", leave_out = ["5"] }\npicture')
+    if kind == "fractions":
+        text = text.replace('"RGB" }', '"RGB", full_scale = 1.0 }')
+    found = read_by_recipe(tmp_path, told(text.replace("SET", "set.npz"))).captures
+    for image, (row, column), capture in zip(PRESSES, PLACES, found.values(), strict=True):
+        np.testing.assert_array_equal(capture.contact, image * (SIXTEEN if kind == "fractions" else 1))
+        assert (capture.contact_circle.row_px, capture.contact_circle.column_px) == (row, column)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            ("set.npz::images[{press}]", "set.npz::photos[{press}]"),
+            r"array 'photos' is missing; it holds images",
+        ),
+        (("set.npz::images[{press}]", "set.npz::radius[{press}]"), r"'radius' of shape \(5,\) is no array of pictures"),
+        (("set.npz::images[{press}]", "set.npz::images"), r"must contain \{press\} exactly once"),
+        (("set.npz::images[{press}]", "set.npz::{press}"), r"must end in the name of an array and \[\{press\}\]"),
+        (("[{press}, 1]", "[{press}, 2]"), r"'labels\[0, 2\]' must be one finite number; .* of shape \(5, 2\)"),
+        (("[{press}, 1]", "[{frame}, 1]"), r"\{frame\} is used, but is not in presses\.files, which has \{press\}"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_in_a_sentence(tmp_path, change, message):
+    np.savez(tmp_path / "set.npz", images=np.stack(PRESSES), rest=UNTOUCHED, labels=PLACES, radius=np.ones(5))
+    with pytest.raises((ImportFormatError, ValueError), match=message):
+        read_by_recipe(tmp_path, told(STACKED.replace("SET", "set.npz").replace(*change)))
+
+
+@pytest.mark.parametrize("kind", ["lines.jsonl", "list.json", "whole.json"])
+def test_tables_of_json_with_inner_keys_are_read(tmp_path, kind):
+    said = [
+        {"file": {"name": f"{k}.png"}, "at": [column, row], "r": CONTACT_PX} for k, (row, column) in enumerate(PLACES)
+    ]
+    text = {"lines.jsonl": "\n".join(map(json.dumps, said)), "list.json": json.dumps(said),
+            "whole.json": json.dumps({"version": 1, "presses": said, "tags": ["a"]})}[kind]  # fmt: skip
+    (numbered(tmp_path) / kind).write_text(text)
+    circle = 'circle = { column_px = "at[0]", row_px = "at[1]", radius_px = "r" }'
+    found = read_by_recipe(
+        tmp_path, told(NUMBERED + f'[contact]\nfile = "{kind}"\npress = "file.name"\n{circle}')
+    ).captures
+    assert [(c.contact_circle.row_px, c.contact_circle.column_px) for c in found.values()] == PLACES
+
+
+@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", "."), (",", ".")])
+def test_tables_with_other_marks_are_read(tmp_path, mark, point):
+    """As spreadsheets of countries with decimal commas export them."""
+    lines = ["image,x,y,r", *(f"{k}.png,{column:.2f},{row:.2f},20.5" for k, (row, column) in enumerate(PLACES))]
+    other = [lines[0].replace(",", mark), *(line.replace(",", mark).replace(".png", "#") for line in lines[1:])]
+    text = "\n".join([other[0], *(line.replace(".", point).replace("#", ".png") for line in other[1:])])
+    (numbered(tmp_path) / "t.csv").write_text(text)
+    circle = 'circle = { column_px = "x", row_px = "y", radius_px = "r" }'
+    found = read_by_recipe(tmp_path, told(NUMBERED + f'[contact]\nfile = "t.csv"\npress = "image"\n{circle}')).captures
+    circles = [c.contact_circle for c in found.values()]
+    assert [(c.row_px, c.column_px, c.radius_px) for c in circles] == [(*place, 20.5) for place in PLACES]
+
+
+def test_the_force_of_the_nearest_time_is_taken_and_a_distant_one_is_not(tmp_path):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / f"{k + 1}250000000.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    rows = [f"{t / 10:.1f},{t / 100:.2f}" for t in range(10, 50)]  # ends at 4.9 s; the last picture is of 5.25 s
+    (tmp_path / "wrench.csv").write_text("\n".join(["t,fz", *rows]))
+    found = read_by_recipe(
+        tmp_path,
+        told("""
+            presses = { files = "{stamp}.png", leave_out = ["rest"] }
+            no_contact = { file = "rest.png" }
+            [force]
+            file = "wrench.csv"
+            column = "fz"
+            nearest = { column = "t", to = "{stamp}", factor = 1e-9, within = 0.06 }
+        """),
+    )
+    assert [c.force_n for c in found.captures.values()] == pytest.approx([0.12, 0.22, 0.32, 0.42], abs=0.011)
+    assert found.left_out["no line of wrench.csv lies within 0.06 of its time"] == ["5250000000"]
+
+
+def test_a_coded_video_is_read_as_a_motion_jpeg_one(tmp_path):
+    video = cv2.VideoWriter(str(tmp_path / "a.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30.0, (160, 120))
+    for frame in grasp():
+        video.write(eight_bits(frame)[..., ::-1].copy())
+    video.release()
+    text = 'presses = { files = "{press}.mp4" }\nno_contact = { frames_before = 10 }'
+    (capture,) = read_by_recipe(tmp_path, told(text)).captures.values()
+    # coded with loss and half the colour resolution
+    assert np.abs(capture.contact - eight_bits(grasp()[20]).astype(float)).mean() < 3.0
+    assert np.abs(capture.no_contact - UNTOUCHED.astype(float)).mean() < 3.0
+    (tmp_path / "a.mp4").write_bytes(b"\0" * 5000)
+    with pytest.raises(ImportFormatError, match=r"a\.mp4: cannot be decoded as a video; convert the video: ffmpeg"):
+        read_by_recipe(tmp_path, told(text))
+
+
+def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_reads_it(tmp_path, monkeypatch):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / "set" / f"ball_{k % 2}" / f"p{k}_z0.{k}.png", image)
+    put(tmp_path / "set" / "background.png", UNTOUCHED)
+    (tmp_path / "set" / "labels.csv").write_text("image,x,y\np0_z0.0.png,1,2\n")
+    np.savez(tmp_path / "set" / "more.npz", forces=np.arange(5.0), odd=np.array([{}], dtype=object))
+    (tmp_path / "set" / "about.json").write_text('{"sensor": {"px_per_mm": 10}}')
+    (tmp_path / "set" / "broken.jpg").write_bytes(b"none")
+    monkeypatch.chdir(tmp_path)
+    said = succeed("import captures set")
+    assert "5 x ball_{a}/p{b}_z{c}.png: picture of 160 x 120 px, uint8, colour" in said
+    assert "1 x labels.csv: table of 1 lines: image, x, y" in said
+    assert "1 x more.npz: arrays: forces (5,) float64, odd (pickled, never read)" in said
+    assert "1 x about.json: object of 1 keys: sensor.px_per_mm" in said
+    assert "1 x broken.jpg: is neither PNG nor JPEG" in said
+    assert "background.png" in (tmp_path / "set.recipe.toml").read_text()
+    # a warning says that the contacts were found by a search
+    assert finray("import captures set --recipe set.recipe.toml --out found").status == 0
+    assert len(list((tmp_path / "found").glob("*.capture.json"))) == 5
+    assert "exists already" in finray("import captures set").err
+    failed = finray("import captures nowhere --out new.toml")
+    assert (failed.status, "nowhere: no such folder or zip archive" in failed.err) == (2, True)
