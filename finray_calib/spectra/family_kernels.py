@@ -26,11 +26,10 @@ from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numba
 import numpy as np
-from numba.np import linalg
 from numpy.typing import NDArray
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -92,9 +91,13 @@ def _load_arrays_without_scipy() -> None:
 
     Numba asks whether there is a BLAS where it loads its functions of arrays, at the first call of any compiled
     function, although it needs one only where compiled code multiplies matrices. It asks again there, and then loads
-    it. The answer is known here: SciPy is required by this package.
+    it. The answer is known here: SciPy is required by this package. A Numba that is laid out otherwise loads as usual.
     """
-    asked = linalg.ensure_blas
+    try:
+        linalg: Any = import_module("numba.np.linalg")
+        asked = linalg.ensure_blas
+    except (ImportError, AttributeError):
+        return
     linalg.ensure_blas = lambda: None
     try:
         import_module("numba.np.arraymath")
