@@ -172,6 +172,7 @@ class _Search:
         self.factors = -1 if after is None else after.factors
         # way from where the exact tangent was last found positive definite
         self.definite_within_mm = math.inf if after is None else after.definite_within_mm
+        self.has_factorised = False  # an exact tangent of the terms as they are in this search
         self.saddles, self.since = 0, 0  # that were left, and what was solved for until the last of them
         self.unstable = ""
         self._least_damping = 0.0  # below which damping ends
@@ -337,6 +338,7 @@ class _Search:
         if self.removed == 0.0:
             self.factors = matrix.version
             self.definite_within_mm = 0.0 if self.damping_n_per_mm == 0.0 else math.inf
+            self.has_factorised = True
         return True
 
     def _off_a_saddle(self, state: State) -> tuple[State, float] | None:
@@ -346,7 +348,8 @@ class _Search:
         forces that hold the contact as they are.
         """
         self.unstable = ""
-        if not self.options.stable or self._definite_within(_CLOSE_BY) or self._stays_definite():
+        seen = self.has_factorised and self._definite_within(_CLOSE_BY)
+        if not self.options.stable or seen or self._stays_definite():
             return None
         self.removed = self.damping_n_per_mm = 0.0
         matrix = self.assembly.matrix
