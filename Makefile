@@ -51,7 +51,7 @@ quick: $(VENV)/installed-dev lint check-types contracts
 # The drivers against device simulators of others. A missing program is a skip that names its package; with CI set in
 # the environment it is a failure. The tests mostly wait; those that share device simulators stay on one worker.
 test-rigs: $(VENV)/installed-dev $(OTHERS)/installed rig-programs
-	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs --numprocesses 3 --dist loadgroup
+	FINRAY_OTHERS_VENV=$(CURDIR)/$(OTHERS) $(BIN)/pytest -m rigs --numprocesses 3 --dist loadscope
 
 # What is known about the light, on an NVIDIA GPU in place of the processor; without one it says "NO GPU".
 GPU_TESTS = tests/simulate/test_gpu.py tests/simulate/test_furnace_bands.py \

@@ -25,12 +25,23 @@ def pytest_configure(config: pytest.Config) -> None:
         _keep_to_one_core()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep tests that start the programs of devices on one worker: some of these programs have a fixed port."""
-    for item in items:
-        if item.get_closest_marker("rigs") and not item.get_closest_marker("xdist_group"):
-            with_devices = {"capture", "command_line"} & set(item.path.parts)
-            item.add_marker(pytest.mark.xdist_group("devices" if with_devices else "other programs"))
+@pytest.hookimpl(optionalhook=True)  # where pytest-xdist is
+def pytest_xdist_make_scheduler(config: pytest.Config, log):
+    """Keep tests of rigs that start the programs of devices on one worker: some of these programs have a fixed port.
+
+    Those of the check of a press wait for boards in real time and share nothing: each goes to any worker.
+    """
+    if config.getoption("markexpr") != "rigs":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Rigs(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            if nodeid.startswith("tests/capture/test_check_press.py"):
+                return nodeid
+            return "devices" if nodeid.startswith(("tests/capture/", "tests/command_line/")) else "other programs"
+
+    return Rigs(config, log)
 
 
 def _keep_to_one_core() -> None:

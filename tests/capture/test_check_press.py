@@ -496,7 +496,6 @@ def on_boards(folder: Path, bench, monkeypatch, **given: object) -> tuple[PressF
 
 
 @pytest.mark.rigs
-@pytest.mark.xdist_group("boards")
 def test_boards_in_real_time(tmp_path: Path, monkeypatch) -> None:
     with press_bench(tmp_path) as bench:
         facts, rig = on_boards(tmp_path, bench, monkeypatch)
@@ -513,8 +512,7 @@ def test_boards_in_real_time(tmp_path: Path, monkeypatch) -> None:
     assert moving.limit_n < moving.peak_n < moving.unstopped_n
 
 
-# each takes a minute or two on boards in real time: every fault in two or three parts, and every part at least once;
-# they wait, and share nothing, so that any worker may run them beside others
+# each takes a minute or two on boards in real time: every fault in two or three parts, and every part at least once
 POISONED = (
     ("cell pulled", "load cell"),
     ("cell pulled", "touch"),
@@ -528,10 +526,7 @@ POISONED = (
 
 
 @pytest.mark.rigs
-@pytest.mark.parametrize(
-    ("what", "part"),
-    [pytest.param(*case, marks=pytest.mark.xdist_group(f"boards, {' '.join(case)}")) for case in POISONED],
-)
+@pytest.mark.parametrize(("what", "part"), POISONED)
 def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str, what: str) -> None:
     """Whatever breaks, and whenever: the stage stands afterwards, and where its place is known it has left the pad."""
     with press_bench(tmp_path) as bench:
