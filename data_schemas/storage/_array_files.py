@@ -13,6 +13,7 @@ import hashlib
 import io
 import math
 import os
+import tempfile
 import threading
 import zipfile
 from collections.abc import Callable, Mapping
@@ -286,7 +287,11 @@ def parse_file(function: str, folder: str, where: str) -> dict[str, Any]:
     """Run a parser; the child's side of :func:`parse_in_child`."""
     module, name = function.split(":")
     parser: Parser = getattr(import_module(module), name)
-    value, arrays = parser(read_bytes(Path(folder) / _CONTENT), where)
+    before, tempfile.tempdir = tempfile.tempdir, folder  # the parent removes it, also where the child is killed
+    try:
+        value, arrays = parser(read_bytes(Path(folder) / _CONTENT), where)
+    finally:
+        tempfile.tempdir = before
     if arrays:
         np.savez(Path(folder) / _ARRAYS, allow_pickle=False, **arrays)
     return {"value": value, "arrays": {key: (array.shape, array.dtype.str) for key, array in arrays.items()}}

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from data_schemas import ImportFormatError, MissingPart, Model, explain
-from data_schemas.storage import files_below, has_file, read_toml_tables
+from data_schemas.storage import files_below, read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, MOST_PRESSES, require_length
+from finray_calib.exchange._set_files import ARRAY_IN, file_inside, require_inside
 
 Floats = NDArray[np.float64]
 
@@ -29,19 +30,20 @@ PRESS: Final = "{press}"
 GROUP: Final = "{group}"
 #: Stands for a part of a file's name; what it stood for may be a number, or part of another file's name.
 PLACEHOLDER: Final = re.compile(r"\{([a-z_][a-z0-9_]*)\}")
-#: Between a file and the array in it: ``set.npz::images[{press}]``.
-ARRAY_IN: Final = "::"
 
 Pattern = Annotated[str, Field(min_length=1, max_length=300)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+AboveZero = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Quantity = Annotated[str, Field(min_length=1, max_length=100)] | Positive
 """A number, or what holds it: a part of the press's name (``{depth}``), the column of a table, the key of a JSON file,
 or the array of an npz file; ``center[0]`` and ``centers[{press}, 0]`` are entries of one."""
+Finite = Annotated[str, Field(min_length=1, max_length=100)] | Annotated[float, Field(allow_inf_nan=False)]
+"""The same of a pose, which may be 0 or below."""
 OfPress = dict[str, Positive] | Quantity
-"""The same, or a number for each press by its name, in which * may stand for any part."""
+"""A quantity, or a number for each press by its name, in which * may stand for any part."""
 Place = Annotated[float, Field(ge=0.0, le=1e6)]
 PlaceOfPress = dict[str, Place] | Annotated[str, Field(min_length=1, max_length=100)] | Place
-"""The same of a place, which may be 0."""
+"""The same of a place on the pad, which may be 0."""
 LengthUnit = Literal["mm", "cm", "m", "um"]
 Corner = tuple[float, float]
 Direction = tuple[float, float, float]
@@ -118,9 +120,11 @@ class RecipeNearest(Model):
     """By which time a line of a table belongs to a press."""
 
     column: str = Field(description="column of the table that holds the time")
-    to: Annotated[str, Field(pattern=PLACEHOLDER)] = Field(description="time of the press in its name, such as {stamp}")
-    within: Positive = Field(description="how far both may be apart, in units of the column")
-    factor: Positive = Field(default=1.0, description="units of the column in one unit of the name's time")
+    to: Annotated[str, Field(pattern=f"^{PLACEHOLDER.pattern}$")] = Field(
+        description="time of the press in its name, such as {stamp}"
+    )
+    within: AboveZero = Field(description="how far both may be apart, in units of the column")
+    factor: AboveZero = Field(default=1.0, description="units of the column in one unit of the name's time")
 
 
 class RecipeLabels(Model):
@@ -225,20 +229,20 @@ _Shape = Literal["ball", "cylinder", "cuboid", "mesh"]
 class RecipeQuaternion(Model):
     """Columns of the four parts of a rotation, each by its name: no order is taken for granted."""
 
-    w: Quantity = Field(description="the real part, the cosine of half the angle")
-    x: Quantity
-    y: Quantity
-    z: Quantity
+    w: Finite = Field(description="the real part, the cosine of half the angle")
+    x: Finite
+    y: Finite
+    z: Finite
 
 
 class RecipePose(RecipeLabels):
     """Where the indenter was: its depth, its place along the pad and its tilt follow from it."""
 
-    x: Quantity | None = None
-    y: Quantity | None = None
-    z: Quantity | None = None
+    x: Finite | None = None
+    y: Finite | None = None
+    z: Finite | None = None
     quaternion: RecipeQuaternion | None = None
-    matrix: Annotated[tuple[Quantity, ...], Field(min_length=16, max_length=16)] | str | None = Field(
+    matrix: Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)] | str | None = Field(
         default=None,
         description="in place of x, y, z and quaternion: 16 columns row by row, the place in the fourth of each row; "
         "or an array of 4 x 4",
@@ -307,8 +311,10 @@ class RecipeIndenter(RecipeLabels):
                     f"columns_in gives a unit for {name}, but [indenter] names no column for it; remove that unit "
                     f"(columns here: {', '.join(columns)}). A number in place of a column is in mm"
                 )
-        if self.extruded_mm is not None and self.shape != "mesh":
-            raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {self.shape}; leave it out')
+        shapes = set(self.shape.values()) if isinstance(self.shape, dict) else {self.shape}
+        if self.extruded_mm is not None and shapes != {"mesh"}:
+            others = " or ".join(sorted(shapes - {"mesh"}))
+            raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {others}; leave it out')
         return self
 
     def column_unit_mm(self, name: str) -> float:
@@ -470,7 +476,6 @@ class LeftOutError(Exception):
 
 
 MOST_FILES = 200_000
-_FORMS: Final = ("NFC", "NFD")
 _FILES_SHOWN: Final = 4
 _LEAVE_OUT: Final = "presses.leave_out"
 
@@ -512,28 +517,35 @@ class PressFile:
 
 
 _NUMBER_IN_A_NAME = r"[+-]?\d+(?:[.p]\d+)?(?:e[+-]?\d+)?"
+#: Beside any text a number is whole: 0.75 of ball_d0.75mm, not its 5.
+_BEGINS, _ENDS = r"(?<![\d.+-])(?<!\dp)(?<!\de)", r"(?!\d|[.p]\d|e[+-]?\d)"
 
 
 def number_in_name(text: str) -> float | None:
-    """Return a number of a file's name, such as -0.75, 0p75 or 1e-3; None where it is none."""
-    return float(text.replace("p", ".")) if re.fullmatch(_NUMBER_IN_A_NAME, text) else None
+    """Return a number of a file's name, such as -0.75, 0p75 or 1e-3; None where it is none, or not finite."""
+    number = float(text.replace("p", ".")) if re.fullmatch(_NUMBER_IN_A_NAME, text) else np.inf
+    return number if np.isfinite(number) else None
 
 
 def _expressions(recipe: Recipe, pattern: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
     """Return what names of files must fit: with numbers where the recipe wants them, and with any text there."""
-    parts = (recipe.no_contact, recipe.contact, recipe.scale, recipe.indenter, recipe.force)
-    texts = _texts([part.model_dump() for part in parts if part is not None])
+    said = (recipe.no_contact, recipe.contact, recipe.scale, recipe.indenter, recipe.force)
+    texts = _texts([part.model_dump() for part in said if part is not None])
+    # literal texts at even places, words and * between them
+    parts = re.split(r"(\{[a-z_][a-z0-9_]*\}|\*)", pattern)
     numbers = {found[1] for text in texts if (found := PLACEHOLDER.fullmatch(text)) is not None}
     made = []
     for wanted in (numbers, set[str]()):
-        seen, whole = set(), ""
-        for part in re.split(r"(\{[a-z_][a-z0-9_]*\}|\*)", pattern):
+        seen, whole = set[str](), ""
+        for k, part in enumerate(parts):
             word = part[1:-1] if PLACEHOLDER.fullmatch(part) else ""
             if word in seen:
                 whole += f"(?P={word})"
             elif word:
-                any_text = ".+" if part == PRESS else "[^/]+?"
-                whole += f"(?P<{word}>{_NUMBER_IN_A_NAME if word in wanted else any_text})"
+                text = _NUMBER_IN_A_NAME if word in wanted else ".+" if part == PRESS else "[^/]+?"
+                begins = _BEGINS if word in numbers and k > 1 and not parts[k - 1] else ""
+                ends = _ENDS if word in numbers and k + 2 < len(parts) and not parts[k + 1] else ""
+                whole += f"{begins}(?P<{word}>{text}){ends}"
             else:
                 whole += "[^/]*" if part == "*" else re.escape(composed(part))
             seen |= {word} - {""}
@@ -564,7 +576,7 @@ def press_files(folder: Path, recipe: Recipe, count: Callable[[Path, str], int])
             f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must end in the name of an array and "
             f"[{PRESS}], such as {pattern}{ARRAY_IN}images[{PRESS}], or {pattern}{ARRAY_IN}[{PRESS}] of npy and TIFF"
         )
-    _require_inside(pattern)
+    require_inside(pattern)
     strict, loose = _expressions(recipe, pattern)
     found: dict[str, PressFile] = {}
     for number, path in enumerate(files_below(folder)):
@@ -600,11 +612,11 @@ def _presses_of(
             inner = path.with_name(f"{path.name}{ARRAY_IN}{array}[{index}]")
             yield (
                 f"{above}/{index}" if above else f"{index}",
-                PressFile(inner, {**words, "press": f"{index}", "group": above}),
+                PressFile(inner, {"group": above, **words, "press": f"{index}"}),
             )
         return
     name = words.get("press") or match.string[match.start(1) : max(match.end(word) for word in words)]
-    yield name, PressFile(path, {"press": name, **words, "group": PurePosixPath(name).parent.as_posix()})
+    yield name, PressFile(path, {"press": name, "group": PurePosixPath(name).parent.as_posix(), **words})
 
 
 def _ordered(folder: Path, recipe: Recipe, found: Mapping[str, PressFile]) -> Iterator[tuple[str, PressFile]]:
@@ -627,23 +639,10 @@ def _seen(folder: Path) -> str:
     return f"; the folder holds, for example, {', '.join(sorted(names))}" if names else "; the folder holds no file"
 
 
-def _require_inside(pattern: str) -> None:
-    """Refuse a path that leaves the folder."""
-    inner = PurePosixPath(pattern)
-    if inner.is_absolute() or ".." in inner.parts or "\\" in pattern:
-        raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
-
-
 def named_file(folder: Path, pattern: str, press: PressFile) -> Path:
     """Return the path of a press's file; a link that leads out of the folder is refused."""
-    _require_inside(pattern)
-    inner = press.filled(pattern)
-    # macOS stores letters such as an umlaut in two parts, other systems in one
-    forms = [normalize(form, inner) for form in _FORMS]
-    found = next((form for form in forms if has_file(folder / form.partition(ARRAY_IN)[0])), inner)
-    if not (folder / found.partition(ARRAY_IN)[0]).resolve().is_relative_to(folder.resolve()):
-        raise ImportFormatError(f"{folder / found}: leads out of the folder; copy the file into it")
-    return folder / found
+    require_inside(pattern)
+    return file_inside(folder, press.filled(pattern))
 
 
 def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> None:

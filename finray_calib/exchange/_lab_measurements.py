@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import cv2
 import numpy as np
@@ -191,6 +191,9 @@ def pickle_words(path: Path) -> str:
     )
 
 
+Named = TypeVar("Named")
+
+
 @dataclass(frozen=True, slots=True)
 class LabelTable:
     """Hold the lines of a table by the path that names a press, and by its last part.
@@ -202,6 +205,7 @@ class LabelTable:
     rows: list[dict[str, str]]
     by_path: dict[str, list[dict[str, str]]]
     by_last: dict[str, list[dict[str, str]]]
+    _times: dict[str, Floats] = field(default_factory=dict)
 
     def row(self, name: str, file: Path, last_parts: Mapping[str, bool]) -> dict[str, str] | None:
         """Return the line that names a press or its file in the folder, by last parts only where it alone has them.
@@ -229,11 +233,12 @@ class LabelTable:
         LeftOutError
             None is near enough.
         """
-        try:
-            times = np.array([finite_number(row.get(to.column, "")) for row in self.rows])
-        except ValueError as error:
-            raise ImportFormatError(f"{path}: every {to.column} must be a number: {error}") from None
-        apart = np.abs(times - value * to.factor)
+        if to.column not in self._times:
+            try:
+                self._times[to.column] = np.array([finite_number(row.get(to.column, "")) for row in self.rows])
+            except ValueError as error:
+                raise ImportFormatError(f"{path}: every {to.column} must be a number: {error}") from None
+        apart = np.abs(self._times[to.column] - value * to.factor)
         if not apart.size or apart.min() > to.within:
             raise LeftOutError(f"no line of {path.name} lies within {to.within:g} of its time")
         return dict.fromkeys(self.columns, "") | self.rows[int(np.argmin(apart))]
@@ -292,29 +297,36 @@ def label_array(arrays: Mapping[str, NDArray[Any]], pickled: tuple[str, ...], na
     return arrays[name]
 
 
-def label_entry(path: Path, value: str, files: ArrayFiles) -> float:
-    """Return an array of one number, or one entry of it; what is no number in a JSON file leaves its press out."""
+def label_entry(path: Path, value: str, files: ArrayFiles, of_matrix: bool = False) -> float:
+    """Return an array of one number, or one entry of it; what is no number in a JSON file leaves its press out.
+
+    Entry k is that of the only axis longer than 1; `of_matrix`, of 4 x 4 numbers row by row.
+    """
     member = _MEMBER.match(value)
     name, index = (member["name"], member["index"]) if member is not None else (value, None)
     at = [] if index is None else [int(part) for part in index.split(",")]
     if path.suffix.lower() == ".json":
-        return _json_number(path, name, at)
+        return _json_number(path, name, at, of_matrix)
     array = label_array(*files.of(path), name, path)
-    array = array.ravel() if len(at) < 2 else array
+    long = tuple(size for size in array.shape if size > 1)
+    if len(at) < 2 and (len(long) < 2 or (of_matrix and long == (4, 4))):
+        array = array.ravel()
     if (
         len(at or [0]) != array.ndim
         or any(k >= size for k, size in zip(at or [0], array.shape, strict=True))
         or (index is None and array.size != 1)
-        or not np.isfinite(array[tuple(at or [0])])
+        or not (of_matrix or np.isfinite(array[tuple(at or [0])]))
     ):
         raise ImportFormatError(
             f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers"
-            + (f" of shape {array.shape}" if array.ndim > 1 else "")
+            + (f" of shape {array.shape}: name one by the index of each axis" if array.ndim > 1 else "")
         )
+    if not np.isfinite(array[tuple(at or [0])]):  # of a matrix: the track was lost
+        raise LeftOutError(f"its '{name}' is not finite")
     return float(array[tuple(at or [0])])
 
 
-def _json_number(path: Path, name: str, at: Sequence[int]) -> float:
+def _json_number(path: Path, name: str, at: Sequence[int], of_matrix: bool) -> float:
     """Return a number of a JSON object by its key, of inner objects outer.inner, or the entry `at` of a list."""
     whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
     if not isinstance(whole, dict):
@@ -329,8 +341,13 @@ def _json_number(path: Path, name: str, at: Sequence[int]) -> float:
     if name not in found:
         raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)[:40]) or 'nothing'}")
     value = found[name]
+    if value == []:
+        raise LeftOutError(f"its '{name}' is not a finite number")
     if len(at) == 1 and isinstance(value, list) and all(isinstance(row, list) and row for row in value):
-        value = [entry for row in value for entry in row]  # of a matrix as of an array: row by row
+        if of_matrix or len(value) == 1 or all(len(row) == 1 for row in value):
+            value = [entry for row in value for entry in row]  # row by row
+        else:
+            raise ImportFormatError(f"{path}: '{name}' is a list of lists; name an entry of both, as {name}[0, 0]")
     for k in at or ([0] if isinstance(value, list) and value else []):
         entries = value if isinstance(value, list) else [value]
         if k >= len(entries) or (not at and len(entries) > 1):
@@ -341,6 +358,11 @@ def _json_number(path: Path, name: str, at: Sequence[int]) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
         raise LeftOutError(f"its '{name}' is not a finite number")
     return float(value)
+
+
+def _of_name(name: str, table: Mapping[str, Named]) -> Named | None:
+    """Return what a table by names says of a press: under its own name, else under the first that fits it."""
+    return table.get(name, next((value for key, value in table.items() if is_named(name, key)), None))
 
 
 @dataclass
@@ -371,7 +393,7 @@ class PressLabels:
         leave_out = self.recipe.presses.leave_out
         self._last_parts = last_parts_of({n: press.path for n, press in self.files.items() if n not in leave_out})
 
-    def number(self, name: str, labels: RecipeLabels, value: Quantity) -> float:
+    def number(self, name: str, labels: RecipeLabels, value: Quantity, of_matrix: bool = False) -> float:
         """Return a number of a press: as it stands in the recipe, in its name, or in a table, npz or JSON file."""
         if isinstance(value, float):
             return value
@@ -394,10 +416,10 @@ class PressLabels:
             if not has_file(path):
                 raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
             self.made_of.add(path)
-            return label_entry(path, self.files[name].filled(value), self.arrays)
-        return self._of_table(name, labels, path, self.files[name].filled(value))
+            return label_entry(path, self.files[name].filled(value), self.arrays, of_matrix)
+        return self._of_table(name, labels, path, self.files[name].filled(value), of_matrix)
 
-    def _of_table(self, name: str, labels: RecipeLabels, path: Path, column: str) -> float:
+    def _of_table(self, name: str, labels: RecipeLabels, path: Path, column: str, of_matrix: bool) -> float:
         """Return a number of the line of a press."""
         key = labels.nearest.column if labels.nearest is not None else labels.press
         if key is None:
@@ -417,6 +439,9 @@ class PressLabels:
             row = table.row(name, file_of(self.files[name].path).relative_to(self.folder), self._last_parts[name])
         if row is None:
             raise LeftOutError(f"no line of {path.name} names this press")
+        if of_matrix and column not in row and (member := _MEMBER.match(column)) and member["index"]:
+            k = int(member["index"])  # JSON holds rows of a matrix, or all of it
+            column = f"{member['name']}[{k // 4}][{k % 4}]"
         if column not in row:
             raise ImportFormatError(
                 f"{path}: has no column '{column}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
@@ -443,7 +468,7 @@ class PressLabels:
         indenter = self.recipe.indenter
         value: PlaceOfPress | OfPress | None = getattr(indenter, what)
         if isinstance(value, dict):
-            return next((size for key, size in value.items() if is_named(name, key)), None)
+            return _of_name(name, value)
         if value is None or isinstance(value, float):
             return value
         return self.number(name, self.of_indenter(indenter), value) * indenter.column_unit_mm(what)
@@ -453,7 +478,7 @@ class PressLabels:
         indenter = self.recipe.indenter
         shape = indenter.shape
         if isinstance(shape, dict):
-            named = next((of for key, of in shape.items() if is_named(name, key)), None)
+            named = _of_name(name, shape)
             if named is None:
                 raise LeftOutError("indenter.shape of the recipe has no line for its name")
             shape = named
@@ -478,15 +503,15 @@ class PressLabels:
         """Return depth and place along the pad in mm, and tilt in degrees, as far as a pose tells them."""
         labels = self.of_indenter(pose)
 
-        def numbers(values: Iterable[Quantity | None]) -> Floats:
-            return np.array([self.number(name, labels, value) for value in values if value is not None])
+        def numbers(values: Iterable[Quantity | None], of_matrix: bool = False) -> Floats:
+            return np.array([self.number(name, labels, value, of_matrix) for value in values if value is not None])
 
         rotation: Floats | None = None
         if pose.matrix is not None:
             entries = [f"{pose.matrix}[{k}]" for k in range(16)] if isinstance(pose.matrix, str) else pose.matrix
             if isinstance(pose.matrix, str) and pose.matrix.endswith("]"):  # an array of all presses
                 entries = [f"{pose.matrix[:-1]}, {row}, {column}]" for row in range(4) for column in range(4)]
-            whole = numbers(entries).reshape(4, 4)
+            whole = numbers(entries, isinstance(pose.matrix, str)).reshape(4, 4)
             rotation, place = whole[:3, :3], whole[:3, 3]
             _require_rigid(name, whole)
         else:
@@ -554,6 +579,8 @@ _NORM_TOLERANCE: Final = 0.02
 def _rotation(name: str, w: float, x: float, y: float, z: float) -> Floats:
     """Return the rotation (3, 3) of a quaternion of norm 1."""
     norm = float(np.sqrt(w * w + x * x + y * y + z * z))
+    if norm == 0.0:
+        raise LeftOutError("its quaternion is 0, 0, 0, 0, which is no rotation")
     if abs(norm - 1.0) > _NORM_TOLERANCE:
         raise ImportFormatError(
             f"the quaternion of {name} has a norm of {norm:.4g}, and that of a rotation is 1; check the columns of "
@@ -572,8 +599,11 @@ def _rotation(name: str, w: float, x: float, y: float, z: float) -> Floats:
 def _require_rigid(name: str, matrix: Floats) -> None:
     """Refuse a matrix that is no rotation and shift, or whose rows are columns."""
     turn = matrix[:3, :3]
+    if not turn.any():
+        raise LeftOutError("the rotation of its matrix is all 0")
     odd = np.abs(turn @ turn.T - np.eye(3)).max() > 2 * _NORM_TOLERANCE or np.linalg.det(turn) < 0.0
-    if odd or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > _NORM_TOLERANCE:
+    # nothing is rounded in the last row; in another order it holds the place, which may be some 1e-3 m
+    if odd or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
         raise ImportFormatError(
             f"indenter.pose.matrix of {name} is no rotation with a shift: three rows of norm 1 at right angles and "
             "[0, 0, 0, 1] are needed, row by row; check the order of its columns"

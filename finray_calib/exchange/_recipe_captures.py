@@ -10,7 +10,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,11 +53,13 @@ from finray_calib.exchange._set_files import (
     file_of,
     frame_of,
     in_colour,
+    largest_within,
     longest_hold,
     pixels_of,
     require_alike,
     small_frame,
     steps_of,
+    stretched,
     video_frames,
 )
 from finray_calib.sensing import (
@@ -75,6 +76,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 _REASONS_SHOWN: Final = 5
+#: Gel beside a contact rises, or stays; a map whose untouched values are not 0 exceeds any small depth everywhere.
+_MOST_IN_CONTACT: Final = 0.98
 #: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
@@ -373,18 +376,7 @@ class _Folder:
         picture = self.recipe.picture
         if picture.channels == "BGR":
             image = image[..., ::-1]
-        return np.ascontiguousarray(self._stretched(image)).astype(np.uint16)
-
-    def _stretched(self, image: NDArray[Any]) -> NDArray[Any]:
-        """Return an image (H, W) or (H, W, 3) at the corners that the recipe gives."""
-        picture = self.recipe.picture
-        if picture.corners_px is None or picture.size_px is None:
-            return image
-        width, height = picture.size_px
-        corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
-        seen, wanted = (np.array(places, dtype=np.float32) for places in (picture.corners_px, corners))
-        turned = cv2.getPerspectiveTransform(seen, wanted)
-        return cv2.warpPerspective(np.ascontiguousarray(image), turned, picture.size_px, flags=cv2.INTER_AREA)
+        return np.ascontiguousarray(stretched(image, picture.corners_px, picture.size_px)).astype(np.uint16)
 
     def _without_contact(self, name: str) -> list[Counts]:
         """Return the images without contact, two where there is a repeat; none where it comes from far pixels."""
@@ -441,13 +433,17 @@ class _Folder:
             strength = np.abs(force - np.median(force[:before]))
         if not strength.max() > 0.0:
             raise LeftOutError("nothing changes in its video")
+        self._pictures.clear()
         held = longest_hold(strength)
         if held < before or begins_early(strength, before, 0 if force is None else 1):
             raise LeftOutError(
                 f"its video shows contact within the first {before} frames, which should be without contact"
             )
         images = [frame_of(frames[i], path) for i in (held, 0, before - 1)]
-        return [self._arranged(image) for image in images], None if force is None else float(force[held])
+        self._pictures[path] = images[0]
+        named = self.recipe.force is not None and self.recipe.force.file is None
+        force_n = self._picture_force(name) if named else None if force is None else float(force[held])
+        return [self._arranged(image) for image in images], force_n
 
     def _force(self, name: str, frames: int) -> Floats | None:
         """Return the force of each frame, N; None where there is no file."""
@@ -475,7 +471,7 @@ class _Folder:
         return np.asarray(values * source.newtons)
 
     def _picture_force(self, name: str) -> float | None:
-        """Return the force of a press that is a picture, N."""
+        """Return the force of a press that has one, N."""
         source = self.recipe.force
         if source is None:
             return None
@@ -543,15 +539,22 @@ class _Folder:
         """Return the capture with the contact and the greatest depth of a map."""
         path = self.files[name].path
         stored = self._pictures[path].shape if path in self._pictures else capture.contact.shape
-        depths = self._stretched(self._labels.depths_mm(name, source, stored))
-        deepest = float(depths.max())
+        measured, picture = self._labels.depths_mm(name, source, stored), self.recipe.picture
+        deepest = largest_within(measured, picture.corners_px)
+        depths = stretched(measured, picture.corners_px, picture.size_px)
         if not deepest > 0.0:
             raise LeftOutError(
                 f"its map of depths is nowhere above 0 ({depths.min():.3g} to {deepest:.3g} mm): where values fall as "
                 "the gel is pressed in, value_mm is below 0"
             )
         least = source.least_depth_mm or LEAST_DEPTH_SHARE * deepest
-        circle, corners = contact_of_depths(depths, least) if deepest > least else (None, ())
+        share = float((depths > least).mean())
+        if share > _MOST_IN_CONTACT:
+            raise LeftOutError(
+                f"its map of depths exceeds {least:.3g} mm in {100 * share:.3g} % of the picture: if it holds heights, "
+                "name the map without contact as rest_file; if all of it is pressed in, give least_depth_mm"
+            )
+        circle, corners = contact_of_depths(depths, least) if share > 0.0 else (None, ())
         if len(corners) < 3:
             raise LeftOutError(
                 f"its map of depths, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels"

@@ -1,18 +1,13 @@
-"""Files of sets of presses: pictures, arrays, tables, frames of videos with those that hold the contact.
+"""Files of sets of presses: pictures, arrays, tables, frames of videos with those that hold the contact."""
 
-Also what a folder of such files holds, for those who write a recipe.
-"""
-
-import json
 import os
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
+from unicodedata import normalize
 
 import cv2
 import numpy as np
@@ -20,8 +15,6 @@ from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError
 from data_schemas.storage import (
-    files_below,
-    folder_at,
     has_file,
     parse_in_child,
     parse_json,
@@ -58,15 +51,14 @@ def video_frames(path: Path) -> list[bytes]:
     if (frames := _motion_jpeg_frames(content, path)) is not None:
         return frames
     _, found = parse_in_child(f"{__name__}:decoded_video", content, path, "a video", ImportFormatError)
-    ends = np.cumsum(found["sizes"])
-    whole = found["frames"].tobytes()
-    return [whole[end - size : end] for end, size in zip(ends, found["sizes"], strict=True)]
+    ends = found["ends"].tolist()
+    return [found["frames"][start:end].tobytes() for start, end in zip([0, *ends[:-1]], ends, strict=True)]
 
 
 def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
     """Decode a video into PNG frames; the child's side of :func:`video_frames`."""
-    frames: list[NDArray[np.uint8]] = []
-    decoded = 0
+    frames, ends = bytearray(), list[int]()
+    decoded = len(content)
     with TemporaryDirectory(prefix="finray-video-") as folder:
         file = Path(folder) / "video"
         file.write_bytes(content)
@@ -74,17 +66,18 @@ def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
         video = cv2.VideoCapture(str(file), cv2.CAP_FFMPEG)
         while (read := video.read())[0]:
             decoded += read[1].nbytes
-            if decoded > _MOST_DECODED_BYTES or len(frames) == MOST_FRAMES:
+            if decoded > _MOST_DECODED_BYTES or len(ends) == MOST_FRAMES:
                 raise ImportFormatError(
                     f"{where}: takes more than {_MOST_DECODED_BYTES >> 20} MB when decoded; cut the video, or "
                     f"{CONVERT_VIDEO}"
                 )
-            frames.append(cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].ravel())
+            # one growing buffer: to join a list of frames would need the memory twice
+            frames += cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].data
+            ends.append(len(frames))
         video.release()
     if not frames:
         raise ImportFormatError(f"{where}: cannot be decoded as a video; {CONVERT_VIDEO}")
-    sizes = np.array([frame.size for frame in frames], dtype=np.int64)
-    return None, {"frames": np.concatenate(frames), "sizes": sizes}
+    return None, {"frames": np.frombuffer(frames, dtype=np.uint8), "ends": np.array(ends, dtype=np.int64)}
 
 
 def _motion_jpeg_frames(content: bytes, path: Path) -> list[bytes] | None:
@@ -149,6 +142,8 @@ _BMP_START: Final = b"BM"
 _MOST_ABOVE_FULL, _LEAST_STEPS = 0.01, 256
 ARRAY_FILES: Final = (".npz", ".npy", ".tif", ".tiff")
 _MOST_KEPT = 2
+#: Between a file and the array in it: ``set.npz::images[{press}]``.
+ARRAY_IN: Final = "::"
 _ARRAY_PLACE = re.compile(r"(?P<file>.+?)::(?P<array>[^\[\]]*)(?:\[(?P<index>\d+)\])?")
 
 
@@ -213,7 +208,47 @@ class ArrayFiles:
 
 def file_of(path: Path) -> Path:
     """Return the file of a path, which may lead into an array of it."""
-    return path.with_name(path.name.partition("::")[0])
+    return path.with_name(path.name.partition(ARRAY_IN)[0])
+
+
+def require_inside(pattern: str) -> None:
+    """Refuse a path that leaves the folder."""
+    inner = PurePosixPath(pattern)
+    if inner.is_absolute() or ".." in inner.parts or "\\" in pattern or inner.name.startswith(ARRAY_IN):
+        raise ImportFormatError(f"recipe: {pattern!r} must be a path within the folder, with / between its parts")
+
+
+def file_inside(folder: Path, inner: str) -> Path:
+    """Return a path within a folder, which may lead into an array; a link that leads out of the folder is refused."""
+    # macOS stores letters such as an umlaut in two parts, other systems in one
+    forms = [folder / normalize(form, inner) for form in ("NFC", "NFD")]
+    found = next((form for form in forms if has_file(file_of(form))), folder / inner)
+    # both are opened, by readers of arrays and by those of whole files
+    if not all(path.resolve().is_relative_to(folder.resolve()) for path in (found, file_of(found))):
+        raise ImportFormatError(f"{found}: leads out of the folder; copy the file into it")
+    return found
+
+
+Corners = Sequence[tuple[float, float]]
+
+
+def stretched(image: NDArray[Any], corners_px: Corners | None, size_px: tuple[int, int] | None) -> NDArray[Any]:
+    """Return an image (H, W) or (H, W, 3) whose four corners, column and row, become those of another size."""
+    if corners_px is None or size_px is None:
+        return image
+    width, height = size_px
+    corners = [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]]
+    seen, wanted = (np.array(places, dtype=np.float32) for places in (corners_px, corners))
+    turned = cv2.getPerspectiveTransform(seen, wanted)
+    return cv2.warpPerspective(np.ascontiguousarray(image), turned, size_px, flags=cv2.INTER_AREA)
+
+
+def largest_within(values: Floats, corners_px: Corners | None) -> float:
+    """Return the largest value (H, W) between four corners as they are stored, not as a stretch interpolates it."""
+    if corners_px is None:
+        return float(values.max())
+    corners = np.rint([corners_px[k] for k in (0, 1, 3, 2)]).astype(np.int32)
+    return float(values[cv2.fillConvexPoly(np.zeros(values.shape, np.uint8), corners, 1) > 0].max(initial=-np.inf))
 
 
 def _stack(path: Path) -> NDArray[Any]:
@@ -221,6 +256,7 @@ def _stack(path: Path) -> NDArray[Any]:
     if path.suffix.lower() == ".npy":
         return read_npy(path, _PICTURE, ImportFormatError)
     content = read_bytes(path, "a stack of pictures (TIFF)", ImportFormatError)
+    _require_upright(content, path)
     return parse_in_child(f"{__name__}:decoded_pages", content, path, "TIFF", ImportFormatError)[1]["pages"]
 
 
@@ -228,13 +264,16 @@ def decoded_pages(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
     """Decode all pictures of a file of a kind that few programs write, in RGB order; run in a child process."""
     try:
         is_read, pages = cv2.imdecodemulti(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        is_read, pages = False, ()
-    if not is_read or not pages:
-        raise ImportFormatError(f"{where}: cannot be decoded; the picture is damaged: copy it again")
-    if len({page.shape for page in pages}) > 1:
-        raise ImportFormatError(f"{where}: holds pictures of several sizes; save each as a file of its own")
-    stack = np.stack(pages)
+        if len({page.shape for page in pages}) > 1:
+            raise ImportFormatError(f"{where}: holds pictures of several sizes; save each as a file of its own")
+        stack = pages[0][None] if len(pages) == 1 else np.stack(pages) if is_read and pages else None
+    except (cv2.error, MemoryError):
+        stack = None
+    if stack is None:
+        raise ImportFormatError(
+            f"{where}: cannot be decoded: it is damaged, or all its pictures together are too large (above some 300 "
+            "MB); copy it again, or save each picture as a file of its own"
+        )
     return None, {"pages": stack if stack.ndim == 3 else np.ascontiguousarray(stack[..., _RGB[stack.shape[-1]]])}
 
 
@@ -269,12 +308,7 @@ def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
             f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
             f"read (TIFF, WebP, BMP, npy, OpenEXR); {_conversion(path)}"
         )
-    if (turned := orientation(content)) != _UPRIGHT:
-        raise ImportFormatError(
-            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
-            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
-            "themselves, as 'mogrify -auto-orient' does, and label the result"
-        )
+    _require_upright(content, path)
     if is_common:
         return _in_rgb(decoded_picture(content, path, ImportFormatError), path)
     pages = parse_in_child(f"{__name__}:decoded_pages", content, path, "a picture", ImportFormatError)[1]["pages"]
@@ -347,17 +381,17 @@ def map_of(path: Path, arrays: ArrayFiles) -> Floats:
         values = values[0] if path.suffix.lower() != ".npy" and len(values) == 1 else values
     else:
         values = pixels_of(path)
+    if not np.isfinite(values).all():  # before channels are compared: NaN differs from itself
+        raise ImportFormatError(
+            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are not finite; fill them, or name the "
+            "press in presses.leave_out"
+        )
     if values.ndim == 3 and (values == values[..., :1]).all():
         values = values[..., 0]
     if values.ndim != 2:
         raise ImportFormatError(
             f"{path}: a map needs one value per pixel, got the shape {values.shape}; colours of a picture of a map "
             "cannot be read as values: give the map itself"
-        )
-    if not np.isfinite(values).all():
-        raise ImportFormatError(
-            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are not finite; fill them, or name the "
-            "press in presses.leave_out"
         )
     return values.astype(np.float64)
 
@@ -384,6 +418,16 @@ def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
             "camera; save it without transparency, as the camera took it, or render it opaque"
         )
     return picture[..., 2::-1]
+
+
+def _require_upright(content: bytes, path: Path) -> None:
+    """Refuse a picture that viewers turn: some libraries do too."""
+    if (turned := orientation(content)) != _UPRIGHT:
+        raise ImportFormatError(
+            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
+            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
+            "themselves, as 'mogrify -auto-orient' does, and label the result"
+        )
 
 
 def orientation(content: bytes) -> int:
@@ -470,13 +514,13 @@ def exr_rgb(path: Path) -> Floats:
     return np.maximum(image, 0.0)
 
 
-_TABLES: Final = (".jsonl", ".ndjson")
+TABLES: Final = (".jsonl", ".ndjson")
 
 
 def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
     kind = path.suffix.lower()
-    if kind not in (".json", *_TABLES):
+    if kind not in (".json", *TABLES):
         columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True)
         return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
     if kind == ".json":
@@ -493,7 +537,7 @@ def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
         ]
     if not isinstance(whole, list) or not all(isinstance(of, dict) for of in whole):
         raise ImportFormatError(f"{path}: must be a list of objects, [{{ ... }}, ...], with one for each press")
-    rows = [{key: _cell(value) for key, value in _flat(of)} for of in whole]
+    rows = [{key: _cell(value) for key, value in flat_entries(of)} for of in whole]
     return list(dict.fromkeys(key for row in rows for key in row)), rows
 
 
@@ -502,7 +546,7 @@ def _cell(value: object) -> str:
     return value if isinstance(value, str) else "" if value is None or isinstance(value, bool) else repr(value)
 
 
-def _flat(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+def flat_entries(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield key and value of an object and of all in it: outer.inner, and list[0] of lists."""
     inside = list(whole.items())
     for key, value in inside:  # grows while it is read
@@ -512,133 +556,3 @@ def _flat(whole: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             inside += [(f"{key}[{k}]", of) for k, of in enumerate(value)]
         else:
             yield key, value
-
-
-@dataclass(frozen=True, slots=True)
-class FolderSurvey:
-    """What a folder of files that no recipe reads yet holds, a line for each kind, and the start of a recipe for it."""
-
-    lines: tuple[str, ...]
-    recipe: str
-
-
-_PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr", ".npy")
-_NO_CONTACT: Final = re.compile(r"(^|[^a-z])(bg|background|ref|rest|flat|empty|no_?contact|no_?touch|init)", re.I)
-_GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
-_RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
-_MOST_SURVEYED = 20_000
-_RECIPE_START: Final = """\
-name = "mine"
-what = "DESCRIBE: what was pressed, with which sensor, by whom"
-# licence = "CC BY 4.0"
-
-[presses]
-files = {files}
-
-[picture]
-channels = "RGB"              # "BGR" where red and blue are exchanged
-
-[no_contact]
-{no_contact}
-
-[contact]                     # better: circle, outline or depth_map of the files below
-search = "circle"
-
-# [scale]
-# mm_per_px = 0.05
-
-[indenter]
-shape = "ball"                # or cylinder, cuboid, mesh
-# diameter_mm = 4.0
-# depth_mm = "{{depth}}"        # a part of the name, or a column
-
-# what else lies in the folder:
-{rest}
-"""
-
-
-def survey_folder(folder: Path) -> FolderSurvey:
-    """Say what a folder of another lab holds, and write the start of a recipe for it.
-
-    Files whose names differ in their numbers only are one kind. Those with the most pictures are taken for the presses;
-    a picture whose name says so, for the one without contact. Nothing else is guessed.
-
-    Parameters
-    ----------
-    folder
-        Of the set, or a zip archive of it.
-
-    Raises
-    ------
-    ImportFormatError
-        There is no such folder, or no file in it.
-    """
-    inside = folder_at(folder, ImportFormatError)
-    if inside is None:
-        raise ImportFormatError(f"{folder}: no such folder or zip archive; give the folder of the set")
-    kinds: dict[str, list[str]] = {}
-    for path in sorted(islice(files_below(inside), _MOST_SURVEYED)):
-        name = path.relative_to(inside).as_posix()
-        if not path.name.startswith("."):
-            kinds.setdefault(_RUN_OF_DIGITS.sub("#", name), []).append(name)
-    if not kinds:
-        raise ImportFormatError(f"{folder}: holds no file; give the folder of the set")
-    ordered = sorted(kinds.values(), key=len, reverse=True)
-    lines = [f"{len(names)} x {_pattern(names)}: {_content(inside / names[0])}" for names in ordered[:_GROUPS_SHOWN]]
-    if len(ordered) > _GROUPS_SHOWN:
-        lines.append(f"and {len(ordered) - _GROUPS_SHOWN} more kinds of files")
-    pictures = [names for names in ordered if Path(names[0]).suffix.lower() in (*_PICTURES, *VIDEOS)]
-    touched = [names for names in pictures if not _NO_CONTACT.search(Path(names[0]).stem)] or pictures
-    untouched = [names[0] for names in pictures if _NO_CONTACT.search(Path(names[0]).stem)]
-    files = _pattern(touched[0]) if touched else "{press}.png"
-    if len(touched) > 1 and len(touched[0]) == 1:  # names without numbers
-        first = Path(touched[0][0])
-        files = (first.parent / f"{{press}}{first.suffix}").as_posix()
-    rest = "median_of_presses = true      # a substitute: better name a file"
-    if Path(files).suffix.lower() in VIDEOS:
-        rest = "frames_before = 10"
-    elif untouched:
-        rest = f"file = {json.dumps(untouched[0])}"
-    return FolderSurvey(
-        tuple(lines),
-        _RECIPE_START.format(files=json.dumps(files), no_contact=rest, rest="\n".join(f"# {line}" for line in lines)),
-    )
-
-
-def _pattern(names: Sequence[str]) -> str:
-    """Return the pattern of names that differ in their numbers: {press}, or {a}, {b}, ... where several do."""
-    numbers = np.array([_RUN_OF_DIGITS.findall(name) for name in names])
-    between = _RUN_OF_DIGITS.split(names[0])
-    differ = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
-    words = dict.fromkeys(differ, "press")
-    if len(differ) > 1:
-        words = dict(zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False))
-    held = [f"{{{words[k]}}}" if k in words else numbers[0, k] for k in range(numbers.shape[1])]
-    return "".join(part + number for part, number in zip(between, [*held, ""], strict=True))
-
-
-def _content(path: Path) -> str:
-    """Return what a file of a set holds, in words; what cannot be read says why not."""
-    kind = path.suffix.lower()
-    try:
-        whole = read_json(path, "labels", ImportFormatError, any_number=True) if kind == ".json" else None
-        if isinstance(whole, dict) and not any(isinstance(of, list) for of in whole.values()):
-            keys = [key for key, _ in islice(_flat(whole), _KEYS_SHOWN)]
-            return f"object of {len(whole)} keys: {', '.join(keys)}"
-        if kind in (".csv", ".tsv", *_TABLES, ".json"):
-            columns, rows = table_rows(path)
-            more = ", ..." if len(columns) > _KEYS_SHOWN else ""
-            return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"
-        if kind in (".npz", ".npy"):
-            arrays, pickled = ArrayFiles().of(path)
-            shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
-            return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
-        if kind in VIDEOS:
-            return f"video of {len(video_frames(path))} frames"
-        if kind in _PICTURES:
-            picture = exr_rgb(path) if kind == ".exr" else pixels_of(path)
-            colours = "grey" if picture.shape[2] == 1 else "colour"
-            return f"picture of {picture.shape[1]} x {picture.shape[0]} px, {picture.dtype}, {colours}"
-    except ImportFormatError as why:
-        return str(why).removeprefix(f"{path}: ")
-    return "not read"

@@ -1,6 +1,9 @@
 """Folders as labs have them, with what is wrong in them: refused or told, never a number on another scale."""
 
+import os
 import struct
+import tempfile
+import tomllib
 import unicodedata
 
 import cv2
@@ -8,8 +11,9 @@ import numpy as np
 import pytest
 
 from data_schemas import ImportFormatError
-from finray_calib.exchange import Recipe, read_by_recipe
-from finray_calib.exchange._set_files import orientation
+from data_schemas.storage._array_files import parse_file
+from finray_calib.exchange import Recipe, read_by_recipe, survey_folder
+from finray_calib.exchange._set_files import ArrayFiles, map_of, orientation, pixels_of
 from tests.command_line.running import succeed
 from tests.exchange.recipe_folders import BALLS, flat, grasp, repicture, save, turned_jpeg, write_lab, write_video
 
@@ -18,8 +22,6 @@ DEEP = "has 8 bits, colour, .*{} has 16 bits, colour: values of the two cannot b
 
 def read(folder, text=BALLS):
     """Read a folder by a recipe of a few lines."""
-    import tomllib
-
     return read_by_recipe(folder, Recipe.model_validate(tomllib.loads(text)))
 
 
@@ -295,3 +297,55 @@ def test_what_some_presses_lack_is_told_with_their_number(tmp_path, monkeypatch)
     said = succeed(f"import captures {folder} --recipe r.toml --out set")
     assert "lacks the depth of the press (2 of 4 presses): simulate to the contact's size instead" in said
     assert "lacks the force: stiffness" in said
+
+
+def test_a_stack_and_a_map_of_a_turned_tiff_are_refused(tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    tag = [(0x0112, "H", 1, 6, True)]
+    tifffile.imwrite(tmp_path / "t.tif", np.zeros((48, 64, 3), np.uint8), photometric="rgb", extratags=tag)
+    tifffile.imwrite(tmp_path / "m.tif", np.zeros((48, 64), np.float32), extratags=tag)
+    with pytest.raises(ImportFormatError, match="orientation 6"):
+        pixels_of(tmp_path / "t.tif::[0]")
+    with pytest.raises(ImportFormatError, match="orientation 6"):
+        map_of(tmp_path / "m.tif", ArrayFiles())
+
+
+def test_a_map_of_one_channel_with_nan_is_not_called_colours(tmp_path):
+    np.save(tmp_path / "m.npy", np.array([[[np.nan], [1.0]], [[2.0], [3.0]]]))
+    with pytest.raises(ImportFormatError, match="25 % of its values are not finite"):
+        map_of(tmp_path / "m.npy", ArrayFiles())
+
+
+@pytest.mark.parametrize("inner", ["set.npz::a/rest.png", "set.npz::rest.png"])
+def test_a_link_behind_the_mark_of_an_array_does_not_lead_out(tmp_path, inner):
+    folder = write_lab(tmp_path / "f")
+    save(tmp_path / "outside.png", flat())
+    (folder / inner).parent.mkdir(exist_ok=True)
+    (folder / inner).symlink_to(tmp_path / "outside.png")
+    with pytest.raises(ImportFormatError, match="leads out of the folder"):
+        read(folder, BALLS.replace('"rest.png"', f'"{inner}"'))
+
+
+def test_odd_names_write_no_lines_of_their_own_into_a_recipe(tmp_path):
+    folder = write_lab(tmp_path / "f", ["p😀_1", "p😀_2", "p😀_3", "p😀_4"])
+    for name in (b"x\nforce = 1\n.png", b"\xff1.png"):
+        (tmp_path / "plain").write_bytes(b"none")
+        os.rename(tmp_path / "plain", os.path.join(os.fsencode(folder), name))
+    found = survey_folder(folder)
+    tables = tomllib.loads(found.recipe.encode().decode())
+    assert "force" not in found.recipe.replace("\\nforce", "")
+    assert all(line.isprintable() for line in found.lines)
+    assert tables["presses"]["files"] == "p😀_{press}.png"
+
+
+def where_files_go(content, where):
+    """A parser that says where it would write."""
+    return tempfile.gettempdir(), {}
+
+
+def test_what_a_parser_writes_lies_where_its_parent_removes_it(tmp_path):
+    before = tempfile.gettempdir()
+    (tmp_path / "content").write_bytes(b"")
+    answer = parse_file(f"{__name__}:where_files_go", str(tmp_path), "f")
+    assert answer["value"] == str(tmp_path)
+    assert tempfile.gettempdir() == before

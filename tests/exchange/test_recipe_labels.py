@@ -11,7 +11,7 @@ from data_schemas import ImportFormatError
 from finray_calib.exchange import Recipe, read_by_recipe
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import eight_bits
-from tests.exchange.recipe_folders import BALL_PX, CONTACT_PX, PLACES, grasp
+from tests.exchange.recipe_folders import BALL_PX, CONTACT_PX, PLACES, grasp, write_video
 from tests.exchange.test_other_layouts import PRESSES, SIXTEEN, UNTOUCHED, put
 
 
@@ -334,3 +334,143 @@ def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_rea
     assert "exists already" in finray("import captures set").err
     failed = finray("import captures nowhere --out new.toml")
     assert (failed.status, "nowhere: no such folder or zip archive" in failed.err) == (2, True)
+
+
+def of_arrays(folder, depth, **arrays):
+    np.savez(numbered(folder) / "l.npz", **arrays)
+    text = f'[indenter]\nfile = "l.npz"\ndepth_mm = "{depth}"\n'
+    return read_by_recipe(folder, told(NUMBERED + text)).captures
+
+
+def test_an_entry_of_an_array_of_rows_needs_the_index_of_each_axis(tmp_path):
+    rows = np.arange(1.0, 11.0).reshape(5, 2)
+    with pytest.raises(ImportFormatError, match=r"'c\[0\]' must be one .* of shape \(5, 2\): name one by the index of"):
+        of_arrays(tmp_path, "c[{press}]", c=rows)
+    assert of_arrays(tmp_path, "c[{press}, 0]", c=rows)["1"].indenter.depth_mm == 3.0
+    assert of_arrays(tmp_path, "c[{press}]", c=rows[:, :1])["1"].indenter.depth_mm == 3.0
+    poses(tmp_path)
+    text = POSED.replace("poses.csv", "poses.npz").replace('press = "image"\n', "") + 'matrix = "T"\n'
+    with pytest.raises(ImportFormatError, match=r"'T\[0\]' must be one finite number; 'T' holds 80 numbers of shape"):
+        read_by_recipe(tmp_path, told(text))
+
+
+def test_a_transposed_matrix_in_metres_is_refused(tmp_path):
+    """Its place, of some millimetres, is then in the last row."""
+    poses(tmp_path, lambda row: [*row[:7], *np.diag([1, 1, 1, 1])[:3].ravel(), 0.0, 0.012, 0.003, 1])
+    with pytest.raises(ImportFormatError, match=r"matrix of 0 is no rotation .* \[0, 0, 0, 1\] are needed"):
+        read_by_recipe(tmp_path, told(POSED + BY_MATRIX))
+
+
+@pytest.mark.parametrize("columns", [BY_COLUMNS, BY_MATRIX])
+def test_a_lost_track_leaves_its_press_out(tmp_path, columns):
+    poses(tmp_path, lambda row: [*row[:3], *np.zeros(20)] if row[1] == 0.014 else row)
+    found = read_by_recipe(tmp_path, told(POSED + columns))
+    assert list(found.captures) == ["0", "1", "3", "4"]
+    assert [(why.split(" ")[-1], names) for why, names in found.left_out.items()][1:] in (
+        [("rotation", ["2"])],
+        [("0", ["2"])],
+    )
+
+
+def test_a_matrix_of_json_lines_and_constants_of_a_pose_are_read(tmp_path):
+    poses(tmp_path)
+    matrices = [json.loads((tmp_path / f"{k}.json").read_text())["T"] for k in range(5)]
+    lines = [json.dumps({"image": f"{k}.png", "T": matrix}) for k, matrix in enumerate(matrices)]
+    (tmp_path / "poses.jsonl").write_text("\n".join(lines))
+    text = POSED.replace("poses.csv", "poses.jsonl") + 'matrix = "T"\n'
+    assert read_by_recipe(tmp_path, told(text)).captures["4"].indenter.tilt_deg == pytest.approx(12.0)
+    last = [*(f"m{k}" for k in range(12)), 0.0, 0.0, 0.0, 1.0]
+    found = read_by_recipe(tmp_path, told(POSED + f"matrix = {json.dumps(last)}\n")).captures
+    assert found["4"].indenter.tilt_deg == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize("files", ["{press}{depth}mm.png", "{side}{depth}mm.png", "*{depth}mm.png"])
+def test_a_number_beside_any_text_is_read_whole(tmp_path, files):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / f"{'abcde'[k]}_d{k + 1}.75mm.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    text = (
+        f'presses = {{ files = "{files}" }}\nno_contact = {{ file = "rest.png" }}\n[indenter]\ndepth_mm = "{{depth}}"'
+    )
+    found = read_by_recipe(tmp_path, told(text)).captures.values()
+    assert sorted(c.indenter.depth_mm for c in found) == [1.75, 2.75, 3.75, 4.75, 5.75]
+
+
+def test_a_number_of_a_name_is_finite_and_group_may_be_a_word_of_it(tmp_path):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / "ball" / f"{['1e400', '2', '3', '4', '5'][k]}.png", image)
+    put(tmp_path / "ball" / "rest.jpg", UNTOUCHED)
+    found = read_by_recipe(
+        tmp_path,
+        told("""
+            presses = { files = "{group}/{depth}.png" }
+            no_contact = { file = "{group}/rest.jpg" }
+            indenter = { depth_mm = "{depth}" }
+        """),
+    )
+    assert [c.indenter.depth_mm for c in found.captures.values()] == [2.0, 3.0, 4.0, 5.0]
+    assert list(found.left_out.values()) == [["ball/1e400"]]
+
+
+def test_the_own_name_of_a_press_goes_before_a_star(tmp_path):
+    text = NUMBERED + 'indenter = { shape = { "*" = "ball", "1" = "mesh" }, depth_mm = { "*" = 0.5, "1" = 0.9 } }'
+    found = read_by_recipe(numbered(tmp_path), told(text)).captures
+    assert [(c.indenter.shape, c.indenter.depth_mm) for c in found.values()][:3] == [
+        ("ball", 0.5), ("mesh", 0.9), ("ball", 0.5)]  # fmt: skip
+
+
+def test_a_table_of_nothing_but_meshes_may_be_extruded():
+    text = NUMBERED + 'contact = { search = "outline" }\nscale = { mm_per_px = 0.1 }\n[indenter]\nextruded_mm = 3\n'
+    assert told(text + 'shape = { "*" = "mesh" }').indenter.extruded_mm == 3
+    with pytest.raises(ValueError, match="not to a ball; leave it out"):
+        told(text + 'shape = { "1" = "ball", "*" = "mesh" }')
+
+
+def test_times_of_ros_in_nanoseconds_are_compared(tmp_path):
+    (numbered(tmp_path) / "t.csv").write_text("t,z\n" + "".join(f"{k}000000100,{k + 1}\n" for k in range(5)))
+    nearest = 'nearest = { column = "t", to = "{press}", factor = 1e9, within = 2e6 }'
+    text = NUMBERED + f'[indenter]\nfile = "t.csv"\ndepth_mm = "z"\n{nearest}\n'
+    assert read_by_recipe(tmp_path, told(text)).captures["3"].indenter.depth_mm == 4.0
+    with pytest.raises(ValueError, match=r"nearest\.to"):
+        told(text.replace('"{press}", f', '"t{press}", f'))
+
+
+def test_an_empty_list_of_json_leaves_its_press_out(tmp_path):
+    for k in range(5):
+        (tmp_path / f"{k}.json").write_text(json.dumps({"centre": [] if k == 2 else [80, 60], "r": CONTACT_PX}))
+    circle = 'circle = { column_px = "centre[0]", row_px = "centre[1]", radius_px = "r" }'
+    found = read_by_recipe(numbered(tmp_path), told(NUMBERED + f'[contact]\nfile = "{{press}}.json"\n{circle}'))
+    assert found.left_out["its 'centre' is not a finite number"] == ["2"]
+
+
+def test_heights_without_a_map_at_rest_are_no_depths(tmp_path):
+    numbered(tmp_path)
+    for k, place in enumerate(PLACES):
+        np.save(tmp_path / f"map{k}.npy", 5.0 - pit(*place))
+    with pytest.raises(ImportFormatError, match=r"exceeds 0\.05 mm in 100 % of the picture: if it holds heights, name"):
+        read_by_recipe(tmp_path, told(MAPPED.replace("map{press}", "map{press}.npy")))
+
+
+@pytest.mark.parametrize("ending", [".png", ".avi"])
+def test_the_greatest_depth_of_a_map_is_that_of_its_pixels_between_the_corners(tmp_path, ending):
+    """The deepest of all lies beside the gel, and a point of one pixel is not found again by a stretch to half."""
+    depths = 0.2 * (pit(60, 80) > 0.0)
+    depths[61, 81], depths[5, 5] = 0.7, 3.0
+    np.save(tmp_path / "map.npy", depths)
+    text = NUMBERED
+    if ending == ".avi":
+        write_video(tmp_path / "g.avi", grasp())
+        text = 'presses = { files = "{press}.avi" }\nno_contact = { frames_before = 10 }\n'
+    else:
+        numbered(tmp_path)
+    text += "[picture]\ncorners_px = [[20, 20], [139, 20], [20, 99], [139, 99]]\nsize_px = [60, 40]\n"
+    text += '[contact.depth_map]\nfile = "map.npy"\nvalue_mm = 1\n'
+    found = read_by_recipe(tmp_path, told(text)).captures
+    assert {capture.indenter.depth_mm for capture in found.values()} == {0.7}
+
+
+def test_the_force_in_the_name_of_a_video_is_taken(tmp_path):
+    write_video(tmp_path / "a_2.5N.avi", grasp())
+    text = 'presses = { files = "a_{f}N.avi" }\nno_contact = { frames_before = 10 }\nforce = { column = "{f}" }'
+    (capture,) = read_by_recipe(tmp_path, told(text)).captures.values()
+    assert capture.force_n == 2.5
