@@ -53,7 +53,7 @@ from finray_calib.exchange._capture_recipe import (
     named_file,
     number_in_name,
 )
-from finray_calib.exchange._set_files import TIFF_STARTS, ArrayFiles, file_of, map_of, table_rows
+from finray_calib.exchange._set_files import ARRAY_IN, TIFF_STARTS, ArrayFiles, file_of, map_of, table_rows
 from finray_calib.force import MeasuredForce
 from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
 from rigs.cameras import decoded_picture, read_content, read_raw
@@ -438,6 +438,11 @@ class PressLabels:
         else:
             row = table.row(name, file_of(self.files[name].path).relative_to(self.folder), self._last_parts[name])
         if row is None:
+            array, count = ARRAY_IN in self.recipe.presses.files, f"{len(self.files)}"
+            if array and name == "0" and table.row(count, Path(count), {}) is not None:
+                raise ImportFormatError(
+                    f"{path}: the lines of '{key}' are counted from 1, entries of arrays from 0; subtract 1 in a copy"
+                )
             raise LeftOutError(f"no line of {path.name} names this press")
         if of_matrix and column not in row and (member := _MEMBER.match(column)) and member["index"]:
             k = int(member["index"])  # JSON holds rows of a matrix, or all of it
@@ -650,3 +655,16 @@ def above_zero(what: str, value_mm: float | None) -> None:
     """
     if value_mm is not None and not value_mm > 0.0:
         raise LeftOutError(f"its {what} is {value_mm:g} mm in the table; it must be above 0")
+
+
+def pushing(force_n: float) -> float:
+    """Return the force of a contact in N, or leave out a press whose force pulls by more than a cell's zero is off.
+
+    Raises
+    ------
+    LeftOutError
+        It does.
+    """
+    if force_n < -0.1:
+        raise LeftOutError(f"its force is {force_n:g} N; where a push is counted as negative, write a factor below 0")
+    return force_n

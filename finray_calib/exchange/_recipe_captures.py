@@ -41,6 +41,7 @@ from finray_calib.exchange._lab_measurements import (
     PressLabels,
     label_column,
     pickle_words,
+    pushing,
     require_circles_on_contacts,
 )
 from finray_calib.exchange._render_files import LEAST_DEPTH_SHARE
@@ -479,7 +480,7 @@ class _Folder:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}', force.column: missing; name the column, array or key of the force"
             )
-        return self._labels.number(name, source, source.column) * source.newtons
+        return pushing(self._labels.number(name, source, source.column) * source.newtons)
 
     def _placed(self, name: str, capture: TactileCapture) -> TactileCapture:
         """Return the capture with its contact."""
@@ -522,10 +523,11 @@ class _Folder:
     def _with_circle(self, capture: TactileCapture, circle: ContactCircle, by: str) -> TactileCapture:
         """Return the capture with a circle that can be."""
         rows, columns = capture.contact.shape[:2]
-        if not (0.0 <= circle.row_px < rows and 0.0 <= circle.column_px < columns):
+        inside = 0.0 <= circle.row_px < rows and 0.0 <= circle.column_px < columns
+        if not inside or max(circle.row_px, circle.column_px) < 1.0:  # the latter in mm or m, as it seems
             raise LeftOutError(
                 f"its circle's centre, row {circle.row_px:g}, column {circle.column_px:g}, lies outside the picture of "
-                f"{columns} x {rows} px; check whether row and column are exchanged"
+                f"{columns} x {rows} px or in its corner; check the unit (px), and whether row and column are exchanged"
             )
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:
@@ -556,14 +558,11 @@ class _Folder:
             )
         circle, corners = contact_of_depths(depths, least) if share > 0.0 else (None, ())
         if len(corners) < 3:
-            raise LeftOutError(
-                f"its map of depths, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels"
-            )
+            raise LeftOutError(f"its map, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels")
         pose = capture.indenter
         if pose.depth_mm is None:
-            pose = pose.model_copy(
-                update={"depth_mm": deepest, "depth_uncertainty_mm": self.recipe.indenter.depth_uncertainty_mm}
-            )
+            known_mm = self.recipe.indenter.depth_uncertainty_mm
+            pose = pose.model_copy(update={"depth_mm": deepest, "depth_uncertainty_mm": known_mm})
         told = capture.model_copy(update={"indenter": pose})
         if circle is not None and pose.shape == "ball":
             return self._with_circle(told, circle, "label")

@@ -474,3 +474,31 @@ def test_the_force_in_the_name_of_a_video_is_taken(tmp_path):
     text = 'presses = { files = "a_{f}N.avi" }\nno_contact = { frames_before = 10 }\nforce = { column = "{f}" }'
     (capture,) = read_by_recipe(tmp_path, told(text)).captures.values()
     assert capture.force_n == 2.5
+
+
+def test_a_table_that_counts_from_1_is_not_that_of_an_array_which_counts_from_0(tmp_path):
+    np.savez(tmp_path / "set.npz", images=np.stack([eight_bits(image) for image in PRESSES]))
+    put(tmp_path / "rest.png", eight_bits(UNTOUCHED))
+    lines = [f"{k + 1},0.{k + 1}" for k in range(len(PRESSES))]
+    (tmp_path / "t.csv").write_text("\n".join(["n,d", *lines]))
+    recipe = told("""
+        presses = { files = "set.npz::images[{press}]" }
+        picture = { channels = "RGB" }
+        no_contact = { file = "rest.png" }
+        indenter = { shape = "ball", file = "t.csv", press = "n", depth_mm = "d" }
+    """)
+    with pytest.raises(ImportFormatError, match=r"t\.csv: the lines of 'n' are counted from 1, .* subtract 1"):
+        read_by_recipe(tmp_path, recipe)
+
+
+def test_circles_in_metres_and_forces_that_pull_leave_their_press_out(tmp_path):
+    lines = [f"{k},{0.001 * k},0.0007,15,{-0.5 if k else 0.5}" for k in range(len(PRESSES))]
+    (numbered(tmp_path) / "t.csv").write_text("\n".join(["n,x,y,r,f", *lines]))
+    circle = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = { column_px = "x", row_px = "y", radius_px = "r" }\n'
+    force = '[force]\nfile = "t.csv"\npress = "n"\ncolumn = "f"\n'
+    with pytest.raises(ImportFormatError, match=r"in its corner; check the unit \(px\)"):
+        read_by_recipe(tmp_path, told(NUMBERED + circle))
+    found = read_by_recipe(tmp_path, told(NUMBERED + force))
+    assert list(found.captures) == ["0"]
+    assert "its force is -0.5 N; where a push is counted as negative, write a factor below 0" in found.left_out
+    assert len(read_by_recipe(tmp_path, told(NUMBERED + force + "factor = -1\n")).captures) == len(PRESSES) - 1
