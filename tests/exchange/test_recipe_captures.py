@@ -310,7 +310,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
         (
             ("[indenter]\n", CIRCLE),
             ("row_px = 9", "row_px = 999"),
-            "outside the picture of 160 x 120 px; check whether row and",
+            "outside the picture of 160 x 120 px or in its corner; check the",
         ),
         (("[indenter]\n", CIRCLE), ("t.csv", "t.pkl"), "t.pkl: is pickled"),
         (('file = "rest.png"', "frames_before = 3"), None, r"for videos \(\.avi, .*\), and a\.png is not one"),
