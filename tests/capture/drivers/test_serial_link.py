@@ -82,7 +82,8 @@ def test_silence_ends_at_the_deadline(said: bytes, heard: str) -> None:
     with terminal() as (device, path), SerialLink(path, 9600, "wheel") as link:
         os.write(device, said)
         began_s = time.monotonic()
-        with pytest.raises(TimedOutError, match=rf"wheel at {path}: did not answer within 0.2 s \({heard}\)"):
+        # a busy machine takes some of the 0.2 s before the wait begins
+        with pytest.raises(TimedOutError, match=rf"wheel at {path}: did not answer within 0\.[12]\d* s \({heard}\)"):
             link.read_until(b"> ", began_s + 0.2)
         assert 0.2 <= time.monotonic() - began_s < 0.2 + LATE_S
 
