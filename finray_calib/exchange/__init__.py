@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from finray_calib.exchange._ball_presses import DATA_PACK, PARAMETERS, read_ball_presses, read_circles, read_taxim
     from finray_calib.exchange._band_folder import import_band_folder
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
-    from finray_calib.exchange._capture_request import FolderSurvey, PlannedView, capture_request, survey_folder
+    from finray_calib.exchange._capture_request import PlannedView, capture_request
+    from finray_calib.exchange._folder_survey import FolderSurvey, survey_folder
     from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
     from finray_calib.exchange._learning_dataset import (
         dataset_card,

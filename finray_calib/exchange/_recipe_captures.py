@@ -22,28 +22,25 @@ from data_schemas import (
     TactileCapture,
 )
 from data_schemas.storage import finite_number, folder_at, has_file, read_npy
-from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, SourcedCircle
+from finray_calib.exchange._ball_presses import SourcedCircle
 from finray_calib.exchange._capture_recipe import (
     PRESS,
-    SIZES,
-    LeftOutError,
-    PressFile,
     Recipe,
     RecipeDepthMap,
+    require_circles_on_contacts,
+    require_possible_depths,
+    require_possible_scale,
+)
+from finray_calib.exchange._press_files import (
+    LeftOutError,
+    PressFile,
     is_named,
     named_file,
     named_presses,
     press_files,
     refuse_misspelt,
 )
-from finray_calib.exchange._lab_measurements import (
-    PICKLED,
-    PressLabels,
-    label_column,
-    pickle_words,
-    pushing,
-    require_circles_on_contacts,
-)
+from finray_calib.exchange._press_labels import PICKLED, PressLabels, label_column, pickle_words, pushing
 from finray_calib.exchange._render_files import LEAST_DEPTH_SHARE
 from finray_calib.exchange._set_files import (
     CONVERT_VIDEO,
@@ -597,73 +594,3 @@ def _ball_px(capture: TactileCapture) -> float | None:
     if pose.shape != "ball" or pose.radius_mm is None or capture.mm_per_px is None:
         return None
     return pose.radius_mm / capture.mm_per_px
-
-
-#: A ball that is pressed in by d touches over a circle whose cap is d high in a rigid pad, and half as high in a thick
-#: soft one; with a drawn circle and the play of a stage both agree to this factor.
-_DEPTH_FACTOR = 5.0
-_UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
-#: Without a circle: depths in mm that a gel can have.
-_DEPTHS_MM: Final = (0.01, 30.0)
-
-
-def require_possible_scale(recipe: Recipe) -> None:
-    """Refuse a pixel of more than a millimetre: no sensor of this kind has one, and inverted scales do.
-
-    Raises
-    ------
-    ImportFormatError
-        The scale of the recipe says so.
-    """
-    scale = recipe.scale
-    if scale is not None and scale.side_mm > LARGEST_PIXEL_MM:
-        given, other = ("mm_per_px", "px_per_mm") if scale.mm_per_px is not None else ("px_per_mm", "mm_per_px")
-        number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
-        raise ImportFormatError(
-            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
-            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
-        )
-
-
-def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, float | None]]) -> None:
-    """Refuse depths that are in another unit than millimetres, by the circles of balls or by what a gel can be.
-
-    Parameters
-    ----------
-    recipe
-        Named in the message.
-    depths
-        Name of the press -> its depth and the height of its circle's cap where ball, scale and circle are known, mm.
-
-    Raises
-    ------
-    ImportFormatError
-        The median of the presses is too far off.
-    """
-    if not depths:
-        return
-    ratios = [depth / cap for depth, cap in depths.values() if cap is not None and cap > 0.0]
-    middle_mm = float(np.median([depth for depth, _ in depths.values()]))
-    if ratios:
-        ratio = float(np.median(ratios))
-        if 1.0 / _DEPTH_FACTOR <= ratio <= _DEPTH_FACTOR:
-            return
-        why = f"but ball diameter and contact circles give about {middle_mm / ratio:.3g} mm"
-    elif _DEPTHS_MM[0] <= middle_mm <= _DEPTHS_MM[1]:
-        return
-    else:
-        ratio = middle_mm / 1.0
-        why = f"but {_DEPTHS_MM[0]:g} to {_DEPTHS_MM[1]:g} mm are allowed"
-    unit = next((name for factor, name in _UNITS.items() if 1 / 3 < ratio / factor < 3), '"m", "cm" or "um"')
-    others = [n for n in SIZES if n != "depth_mm" and isinstance(getattr(recipe.indenter, n), str)]
-    if others:  # their columns may be in mm all the same
-        unit = f"{{ depth_mm = {unit} }}"
-    told, remedy = "indenter.depth_mm", f"If the column is in another unit, write columns_in = {unit} below [indenter]"
-    if recipe.indenter.depth_mm is None:
-        by_map = recipe.contact is not None and recipe.contact.depth_map is not None
-        told = "contact.depth_map" if by_map else "indenter.pose"
-        remedy = "If its values are in another unit, correct " + ("value_mm" if by_map else "unit and first_touch_mm")
-    raise ImportFormatError(
-        f"recipe '{recipe.name}', {told}: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
-        f"{why}. {remedy}; else correct the depths, the scale or the ball's diameter"
-    )

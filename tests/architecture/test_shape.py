@@ -17,7 +17,8 @@ import pytest
 
 from tests.architecture.test_conventions import PACKAGES, ROOT
 
-MOST_MODULES = 329
+# three more than before: files of presses, their labels and surveys of folders had filled modules of other subjects
+MOST_MODULES = 332
 MOST_IN_A_FOLDER = 24
 LONGEST_CHAIN = 11
 LARGEST_SINGLE_CALLER_SHARE = 0.144
