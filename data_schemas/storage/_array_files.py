@@ -222,6 +222,7 @@ Parser = Callable[[bytes, str], tuple[Any, Mapping[str, NDArray[Any]]]]
 LONGEST_PARSING_S: Final = 15.0
 MOST_MEMORY_BYTES: Final = 768 * MB
 """Address space of a parser beyond that of the interpreter."""
+_LONGEST_LOADING_S: Final = 60.0
 _CONTENT, _ARRAYS = "content", "arrays.npz"
 
 
@@ -269,18 +270,26 @@ def parse_in_child(
         (folder / _CONTENT).write_bytes(content)
         arguments = {"function": function, "folder": name, "where": str(where)}
         try:
+            # what the parser needs itself counts neither as memory nor as time of this file
+            _child().call(f"{__name__}:load_parser", {"function": function}, time_s=_LONGEST_LOADING_S)
             answer = _child().call(
                 f"{__name__}:parse_file", arguments, time_s=LONGEST_PARSING_S, memory_bytes=MOST_MEMORY_BYTES
             )
         except ProcessDiedError as death:
-            raise error(
-                f"{where}: cannot be read as {what}: its parser {death}; the file is damaged, or malicious"
-            ) from None
+            remedy = "the file is damaged, or malicious"
+            if str(death).startswith("took longer"):
+                remedy = f"try again when the computer is less busy; if it takes as long again, cut it, or {remedy}"
+            raise error(f"{where}: cannot be read as {what}: its parser {death}; {remedy}") from None
         declared = {key: DeclaredArray(tuple(shape), dtype) for key, (shape, dtype) in answer["arrays"].items()}
         if not declared:
             return answer["value"], {}
         stored = read_bytes(folder / _ARRAYS, "arrays of a parser", error, LARGEST_ARRAY_FILE_BYTES)
         return answer["value"], read_declared_arrays(stored, declared, where, error)
+
+
+def load_parser(function: str) -> None:
+    """Import a parser; the child's side of :func:`parse_in_child`."""
+    import_module(function.split(":")[0])
 
 
 def parse_file(function: str, folder: str, where: str) -> dict[str, Any]:

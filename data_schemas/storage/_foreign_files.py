@@ -22,7 +22,7 @@ import re
 import stat
 import threading
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -64,6 +64,7 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_POINT_NUMBER = re.compile(r"^\s*[+-]?\d*\.\d+\s*$")
 _COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+\s*)$")
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
@@ -458,6 +459,7 @@ def read_csv(
     comments: bool = False,
     skip_space: bool = False,
     other_marks: bool = False,
+    names: Collection[str] = (),
 ) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Read a CSV file with a header row.
 
@@ -471,7 +473,9 @@ def read_csv(
         Leave out blanks behind a comma.
     other_marks
         Take semicolons or tabs for what separates columns where the header has one of them and no comma; the decimal
-        mark of numbers between semicolons may then be a comma.
+        mark of numbers between semicolons may then be a comma, and between tabs where no number has a point.
+    names
+        Columns that hold names, in which a comma is no decimal mark.
 
     Returns
     -------
@@ -501,8 +505,7 @@ def read_csv(
                     f"give {what}"
                 )
             if any(cell.strip() for cell in cells):
-                points = [_COMMA_NUMBER.sub(r"\1.\2", cell) for cell in cells] if mark == ";" else cells
-                rows.append((reader.line_num, points))
+                rows.append((reader.line_num, cells))
     except csv.Error as fault:
         raise error(
             f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
@@ -519,7 +522,21 @@ def read_csv(
     twice = next((name for name in header if name and header.count(name) > 1), None)
     if twice is not None:
         raise error(f"{path}: the column {twice!r} occurs twice in the header; remove one")
-    return header, rows[1:]
+    return header, _with_points(header, rows[1:], mark, names)
+
+
+def _with_points(
+    header: Sequence[str], rows: list[tuple[int, list[str]]], mark: str, names: Collection[str]
+) -> list[tuple[int, list[str]]]:
+    """Return rows with decimal points in place of commas, where they can be meant, but for columns of names."""
+    texts = {k for k, name in enumerate(header) if name in names}
+    numbers = (cell for _, cells in rows for k, cell in enumerate(cells) if k not in texts)
+    if mark == "," or (mark == "\t" and any(_POINT_NUMBER.match(cell) for cell in numbers)):
+        return rows
+    return [
+        (line, [cell if k in texts else _COMMA_NUMBER.sub(r"\1.\2", cell) for k, cell in enumerate(cells)])
+        for line, cells in rows
+    ]
 
 
 def _mark_between_columns(text: str) -> str:

@@ -39,6 +39,7 @@ Floats = NDArray[np.float64]
 Corners = NDArray[np.float32]
 
 _MEMBER = re.compile(r"^(?P<name>.*?)(?:\[(?P<index>\d+(?:\s*,\s*\d+)*)\])?$")
+_COMMA_NUMBER: Final = re.compile(r"^([+-]?\d+),(\d+)$")
 PICKLED = (".pkl", ".pickle")
 
 
@@ -121,7 +122,7 @@ def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
 
 def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable:
     """Read a table whose column `press` names the press, its file or its folder, or holds a time."""
-    columns, rows = table_rows(path)
+    columns, rows = table_rows(path, [press] if is_name else [])
     if press not in columns:
         raise ImportFormatError(
             f"{path}: has no column '{press}' that {'names the press' if is_name else 'holds the time'}; it has "
@@ -129,10 +130,13 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
         )
     table = LabelTable(columns, rows, {}, {})
     for row in rows if is_name else ():
-        named = PurePosixPath(composed(row.get(press, "").strip().replace("\\", "/")))
-        # what follows the last dot of "press_1.5" is not a kind of file
-        last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
-        keyed = [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
+        text = composed(row.get(press, "").strip().replace("\\", "/"))
+        keyed = list[tuple[dict[str, list[dict[str, str]]], str]]()
+        # spreadsheets of some countries turn a press 1.5 into 1,5
+        for named in map(PurePosixPath, dict.fromkeys([text, _COMMA_NUMBER.sub(r"\1.\2", text)])):
+            # what follows the last dot of "press_1.5" is not a kind of file
+            last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
+            keyed += [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
         for found, key in keyed:
             lines = found.setdefault(key, [])
             if row not in lines:

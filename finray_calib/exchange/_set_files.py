@@ -3,7 +3,7 @@
 import os
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -517,11 +517,13 @@ def exr_rgb(path: Path) -> Floats:
 TABLES: Final = (".jsonl", ".ndjson")
 
 
-def table_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines."""
+def table_rows(path: Path, names: Collection[str] = ()) -> tuple[list[str], list[dict[str, str]]]:
+    """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines; some columns may hold names."""
     kind = path.suffix.lower()
     if kind not in (".json", *TABLES):
-        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True)
+        columns, lines = read_csv(
+            path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True, names=names
+        )
         return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
     if kind == ".json":
         whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)

@@ -263,7 +263,7 @@ def test_tables_of_json_with_inner_keys_are_read(tmp_path, kind):
     assert [(c.contact_circle.row_px, c.contact_circle.column_px) for c in found.values()] == PLACES
 
 
-@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", "."), (",", ".")])
+@pytest.mark.parametrize(("mark", "point"), [(";", ","), (";", "."), ("\t", "."), ("\t", ","), (",", ".")])
 def test_tables_with_other_marks_are_read(tmp_path, mark, point):
     """As spreadsheets of countries with decimal commas export them."""
     lines = ["image,x,y,r", *(f"{k}.png,{column:.2f},{row:.2f},20.5" for k, (row, column) in enumerate(PLACES))]
@@ -274,6 +274,30 @@ def test_tables_with_other_marks_are_read(tmp_path, mark, point):
     found = read_by_recipe(tmp_path, told(NUMBERED + f'[contact]\nfile = "t.csv"\npress = "image"\n{circle}')).captures
     circles = [c.contact_circle for c in found.values()]
     assert [(c.row_px, c.column_px, c.radius_px) for c in circles] == [(*place, 20.5) for place in PLACES]
+
+
+@pytest.mark.parametrize("names", [["0,5", "1,5"], ["0.5", "1.5"]])
+def test_a_comma_in_the_name_of_a_press_is_no_decimal_mark(tmp_path, names):
+    for name, image in zip(names, PRESSES, strict=False):
+        put(tmp_path / f"{name}.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    (tmp_path / "t.csv").write_text("press;z\n0,5;0,25\n1,5;0,75\n")
+    text = """
+        presses = { files = "{press}.png", leave_out = ["rest"] }
+        no_contact = { file = "rest.png" }
+        indenter = { shape = "ball", file = "t.csv", press = "press", depth_mm = "z" }
+    """
+    found = read_by_recipe(tmp_path, told(text)).captures
+    assert {name: capture.indenter.depth_mm for name, capture in found.items()} == dict(
+        zip(names, (0.25, 0.75), strict=True)
+    )
+
+
+def test_commas_between_tabs_are_no_decimal_marks_where_numbers_have_points(tmp_path):
+    (numbered(tmp_path) / "t.csv").write_text("press\tz\n0\t0.5\n1\t1,250\n2\t0.7\n3\t0.7\n")
+    text = NUMBERED + 'indenter = { shape = "ball", file = "t.csv", press = "press", depth_mm = "z" }'
+    with pytest.raises(ImportFormatError, match=r"z of 1 must be a number, got '1,250'; write it with a decimal point"):
+        read_by_recipe(tmp_path, told(text))
 
 
 def test_the_force_of_the_nearest_time_is_taken_and_a_distant_one_is_not(tmp_path):
