@@ -521,9 +521,7 @@ def table_rows(path: Path, names: Collection[str] = ()) -> tuple[list[str], list
     """Return columns and lines of a table: CSV, a list of JSON objects, or JSON lines; some columns may hold names."""
     kind = path.suffix.lower()
     if kind not in (".json", *TABLES):
-        columns, lines = read_csv(
-            path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True, names=names
-        )
+        columns, lines = read_csv(path, "a CSV file", ImportFormatError, skip_space=True, other_marks=True, names=names)
         return columns, [dict(zip(columns, cells, strict=False)) for _, cells in lines]
     if kind == ".json":
         whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data_schemas import ImportFormatError
-from finray_calib.exchange import Recipe, read_by_recipe
+from finray_calib.exchange import Recipe, read_by_recipe, survey_folder
 from tests.command_line.running import finray, succeed
 from tests.exchange.ball_press_folders import eight_bits
 from tests.exchange.recipe_folders import BALL_PX, CONTACT_PX, PLACES, grasp, write_video
@@ -336,6 +336,62 @@ def test_a_coded_video_is_read_as_a_motion_jpeg_one(tmp_path):
         read_by_recipe(tmp_path, told(text))
 
 
+def begun(folder, *filled):
+    """The recipe that a survey begins, with its proposals taken up and what it asks for filled in."""
+    said = survey_folder(folder).recipe
+    lines = [line.removeprefix("# ") for line in said.partition("\n# what else")[0].splitlines()]
+    text = "\n".join(line for line in lines if not line.startswith(("[scale]", "mm_per_px", "licence")))
+    for ours, theirs in filled:
+        assert ours in text
+        text = text.replace(ours, theirs)
+    return Recipe.model_validate(tomllib.loads(text))
+
+
+def test_a_begun_recipe_proposes_what_names_of_files_say(tmp_path):
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / f"ball4mm_z0.{k + 1}_f{k + 2}.5N.png", image)
+    put(tmp_path / "background.png", UNTOUCHED)
+    found = read_by_recipe(tmp_path, begun(tmp_path, ("FILL IN", "mm"))).captures
+    assert [c.indenter.radius_mm for c in found.values()] == [2.0] * len(PRESSES)
+    assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.1 * (k + 1) for k in range(len(PRESSES))])
+    assert [c.force_n for c in found.values()] == pytest.approx([k + 2.5 for k in range(len(PRESSES))])
+
+
+def test_a_begun_recipe_proposes_arrays_by_name_and_shape(tmp_path):
+    force = np.array([[9.0, 9.0, k + 1.5] for k in range(len(PRESSES))])
+    np.savez(tmp_path / "set.npz", images=np.stack(PRESSES), background=UNTOUCHED, force=force,
+             depth_um=np.arange(len(PRESSES)) * 100.0 + 200.0)  # fmt: skip
+    found = read_by_recipe(tmp_path, begun(tmp_path, ("FILL IN", "mN"))).captures
+    assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.2 + 0.1 * k for k in range(len(PRESSES))])
+    assert [c.force_n for c in found.values()] == pytest.approx([1e-3 * (k + 1.5) for k in range(len(PRESSES))])
+
+
+def test_a_begun_recipe_proposes_columns_and_says_which_units_are_not_known(tmp_path):
+    rows = [f"{k}.png,{column},{row},20.5,{0.2 + 0.1 * k}" for k, (row, column) in enumerate(PLACES)]
+    (numbered(tmp_path) / "t.csv").write_text("\n".join(["file,x,y,radius_px,z", *rows]))
+    put(tmp_path / "0_depth.png", UNTOUCHED)
+    begins = survey_folder(tmp_path).recipe
+    assert "# # CHECK that x, y are in pixels: their names do not say" in begins
+    assert '# # FILL IN "mm", "cm", "m" or "um", which z does not say' in begins
+    recipe = begun(tmp_path, ("FILL IN", "mm"), ('search = "circle"\n', ""))
+    assert recipe.presses.only == "?"  # neither the rest nor the other picture
+    found = read_by_recipe(tmp_path, recipe).captures
+    circles = [c.contact_circle for c in found.values()]
+    assert [(c.row_px, c.column_px, c.radius_px) for c in circles] == [(*place, 20.5) for place in PLACES]
+    assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.2 + 0.1 * k for k in range(len(PLACES))])
+
+
+def test_a_begun_recipe_names_the_rest_of_each_folder_and_maps_of_depth(tmp_path):
+    for k, image in enumerate(PRESSES):
+        folder = tmp_path / f"ball_{k % 2}"
+        put(folder / f"gel_{k}.png", image)
+        put(folder / "ref.png", UNTOUCHED)
+        np.save(folder / f"gel_{k}_depth.npy", np.zeros(UNTOUCHED.shape[:2]))
+    recipe = begun(tmp_path, ('search = "circle"\n', ""), ('"FILL IN"', "1.0"))
+    assert recipe.no_contact.file == "ball_{ball}/ref.png"
+    assert recipe.contact.depth_map.file == "ball_{ball}/gel_{gel}_depth.npy"
+
+
 def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_reads_it(tmp_path, monkeypatch):
     for k, image in enumerate(PRESSES):
         put(tmp_path / "set" / f"ball_{k % 2}" / f"p{k}_z0.{k}.png", image)
@@ -346,7 +402,7 @@ def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_rea
     (tmp_path / "set" / "broken.jpg").write_bytes(b"none")
     monkeypatch.chdir(tmp_path)
     said = succeed("import captures set")
-    assert "5 x ball_{a}/p{b}_z{c}.png: picture of 160 x 120 px, uint8, colour" in said
+    assert "5 x ball_{ball}/p{p}_z{z}.png: picture of 160 x 120 px, uint8, colour" in said
     assert "1 x labels.csv: table of 1 lines: image, x, y" in said
     assert "1 x more.npz: arrays: forces (5,) float64, odd (pickled, never read)" in said
     assert "1 x about.json: object of 1 keys: sensor.px_per_mm" in said
