@@ -316,13 +316,9 @@ class PressLabels:
             ) from None
 
     def of_indenter(self, labels: RecipeLabels) -> RecipeLabels:
-        """Return where numbers of the indenter are: what names no file has the contact's."""
-        contact = self.recipe.contact
-        if labels.file is not None or contact is None:
-            return labels
-        if labels is not self.recipe.indenter and self.recipe.indenter.file is not None:
-            return self.recipe.indenter
-        return contact
+        """Return where numbers of the indenter are: what names no file has that of the indenter, or the contact's."""
+        named = (labels, self.recipe.indenter, self.recipe.contact)
+        return next((where for where in named if where is not None and where.file is not None), labels)
 
     def size(self, name: str, what: str) -> float | None:
         """Return diameter, radius, depth or position of the indenter, mm."""
@@ -349,7 +345,7 @@ class PressLabels:
         by_pose = (None, None, None) if indenter.pose is None else self._by_pose(name, indenter.pose)
         depth_mm = by_pose[0] if depth_mm is None else depth_mm
         position_mm = by_pose[1] if position_mm is None else position_mm
-        above_zero("depth, from first touch,", depth_mm)
+        above_zero("depth, from first touch,", depth_mm, _FALLS if indenter.depth_mm is not None else _IS_POSED)
         return IndenterPose(
             shape=shape,
             radius_mm=diameter_mm / 2.0 if diameter_mm is not None else radius_mm,
@@ -470,7 +466,14 @@ def _require_rigid(name: str, matrix: Floats) -> None:
         )
 
 
-def above_zero(what: str, value_mm: float | None) -> None:
+_FALLS: Final = (
+    ": where it falls as the gel is pressed in, write z = its name, x = 0, y = 0, unit and first_touch_mm = 0 below "
+    "[indenter.pose] in place of depth_mm"
+)
+_IS_POSED: Final = ": check first_touch_mm, and that normal leads out of the gel"
+
+
+def above_zero(what: str, value_mm: float | None, remedy_below: str = "") -> None:
     """Leave out a press of which a table says a length that none has.
 
     Raises
@@ -479,7 +482,9 @@ def above_zero(what: str, value_mm: float | None) -> None:
         It is not above 0.
     """
     if value_mm is not None and not value_mm > 0.0:
-        raise LeftOutError(f"its {what} is {value_mm:g} mm in the table; it must be above 0")
+        raise LeftOutError(
+            f"its {what} is {value_mm:g} mm in the table; it must be above 0{remedy_below if value_mm < 0.0 else ''}"
+        )
 
 
 def pushing(force_n: float) -> float:

@@ -440,7 +440,7 @@ class _Folder:
         images = [frame_of(frames[i], path) for i in (held, 0, before - 1)]
         self._pictures[path] = images[0]
         named = self.recipe.force is not None and self.recipe.force.file is None
-        force_n = self._picture_force(name) if named else None if force is None else float(force[held])
+        force_n = self._picture_force(name) if named else None if force is None else pushing(float(force[held]))
         return [self._arranged(image) for image in images], force_n
 
     def _force(self, name: str, frames: int) -> Floats | None:

@@ -498,7 +498,8 @@ def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
         if kinds[0] != kinds[1]:
             raise ImportFormatError(
                 f"{first_path} has {kinds[0]}, {path} has {kinds[1]}: values of the two cannot be compared; save the "
-                "pictures of all presses and those without contact in one format"
+                "pictures of all presses and those without contact in one format. If one is no picture of the camera, "
+                "such as a map of depths, let presses.files, presses.only or presses.leave_out pass it over"
             )
 
 

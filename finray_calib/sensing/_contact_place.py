@@ -216,14 +216,10 @@ class FoundCircle:
         Centre and radius in pixels of the colour image.
     is_even
         Whether the contact was seen as a disc that is darker or brighter, not as two opposite sides.
-    scatter_px
-        Standard deviation of the rim's radius over the three channels; a large one marks a doubtful circle; it is not
-        the circle's error.
     """
 
     circle: ContactCircle
     is_even: bool
-    scatter_px: float
 
 
 def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None = None) -> FoundCircle:
@@ -266,7 +262,7 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
         column_px=(found.circle.column_px + 0.5) * side - 0.5,
         radius_px=found.circle.radius_px * side,
     )
-    whole = FoundCircle(circle, found.is_even, found.scatter_px * side)
+    whole = FoundCircle(circle, found.is_even)
     return whole if found.is_even else _refined(contact, no_contact, whole, side, largest)
 
 
@@ -301,7 +297,7 @@ def _refined(contact: Floats, no_contact: Floats, found: FoundCircle, side_px: i
     for step in (0.75 * side_px, 0.375 * side_px):
         best = rim.best_near(best, step, largest_px)
     refined = ContactCircle(row_px=best[1] + top, column_px=best[0] + left, radius_px=best[2])
-    return FoundCircle(refined, found.is_even, found.scatter_px)
+    return FoundCircle(refined, found.is_even)
 
 
 def find_contact_outline(capture: TactileCapture) -> tuple[PlaceInImage, ...]:
@@ -472,15 +468,13 @@ def _even_circle(signal: Image, coarse: _Place) -> FoundCircle:
     away = np.hypot(columns - coarse.column_px, rows - coarse.row_px)
     ring = (away / 2.0).astype(np.intp)
     count = np.maximum(np.bincount(ring.ravel()), 1)
-    radii = []
-    for channel in (signal.mean(axis=-1), *np.moveaxis(signal, -1, 0)):
-        profile = np.bincount(ring.ravel(), weights=channel.ravel()) / count
-        sign = np.sign(profile[: max(int(coarse.radius_px / 4.0), 1)].mean())
-        crossed = np.flatnonzero(sign * profile <= 0.0)
-        beyond = crossed[crossed * 2.0 > 0.5 * coarse.radius_px]
-        radii.append(2.0 * float(beyond[0]) if beyond.size else coarse.radius_px)
-    circle = ContactCircle(row_px=coarse.row_px, column_px=coarse.column_px, radius_px=radii[0])
-    return FoundCircle(circle, True, float(np.std(radii[1:])))
+    profile = np.bincount(ring.ravel(), weights=signal.mean(axis=-1).ravel()) / count
+    sign = np.sign(profile[: max(int(coarse.radius_px / 4.0), 1)].mean())
+    crossed = np.flatnonzero(sign * profile <= 0.0)
+    beyond = crossed[crossed * 2.0 > 0.5 * coarse.radius_px]
+    radius_px = 2.0 * float(beyond[0]) if beyond.size else coarse.radius_px
+    circle = ContactCircle(row_px=coarse.row_px, column_px=coarse.column_px, radius_px=radius_px)
+    return FoundCircle(circle, True)
 
 
 def _odd_circle(signal: Image, coarse: _Place, smallest_px: float, largest_px: float) -> FoundCircle:
@@ -497,10 +491,7 @@ def _odd_circle(signal: Image, coarse: _Place, smallest_px: float, largest_px: f
     x, y, r = max(inside or starts, key=rim.score)
     for step in _STEPS_PX:
         x, y, r = rim.best_near((x, y, r), step, largest_px)
-    rims = [_Rim(energies[..., c]) for c in range(energies.shape[2])]
-    of_channels = [radii[int(np.argmax([of_channel.score((x, y, float(q))) for q in radii]))] for of_channel in rims]
-    circle = ContactCircle(row_px=y, column_px=x, radius_px=r)
-    return FoundCircle(circle, False, float(np.std(of_channels)))
+    return FoundCircle(ContactCircle(row_px=y, column_px=x, radius_px=r), False)
 
 
 def _curvature(signal: Image, width_px: float = 1.0) -> Image:

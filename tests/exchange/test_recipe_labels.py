@@ -582,3 +582,14 @@ def test_circles_in_metres_and_forces_that_pull_leave_their_press_out(tmp_path):
     assert list(found.captures) == ["0"]
     assert "its force is -0.5 N; where a push is counted as negative, write a factor below 0" in found.left_out
     assert len(read_by_recipe(tmp_path, told(NUMBERED + force + "factor = -1\n")).captures) == len(PRESSES) - 1
+
+
+def test_a_depth_that_falls_as_the_gel_is_pressed_in_is_the_z_of_a_pose(tmp_path):
+    """As the refusal of a negative depth says."""
+    (numbered(tmp_path) / "t.csv").write_text("n,z\n" + "".join(f"{k},{-0.2 - 0.1 * k}\n" for k in range(len(PRESSES))))
+    text = NUMBERED + '[indenter]\nshape = "ball"\nfile = "t.csv"\npress = "n"\n'
+    with pytest.raises(ImportFormatError, match=r"-0\.2 mm in the table; it must be above 0: where it falls"):
+        read_by_recipe(tmp_path, told(text + 'depth_mm = "z"'))
+    pose = '[indenter.pose]\nz = "z"\nx = 0\ny = 0\nunit = "mm"\nfirst_touch_mm = 0\n'
+    found = read_by_recipe(tmp_path, told(text + pose)).captures
+    assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.2 + 0.1 * k for k in range(len(PRESSES))])
