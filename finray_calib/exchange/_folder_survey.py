@@ -22,6 +22,7 @@ from finray_calib.exchange._capture_recipe import PLACEHOLDER
 from finray_calib.exchange._set_files import (
     ARRAY_IN,
     TABLES,
+    TEXTS_OF_NUMBERS,
     VIDEOS,
     ArrayFiles,
     exr_rgb,
@@ -354,7 +355,7 @@ def _words(names: Sequence[str]) -> dict[int, str]:
     for k, letter in zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False):
         front = re.search(r"([a-z]+)[^a-z/]*$", between[k].lower())
         word = front[1] if front else letter
-        words[k] = word if word not in (*words.values(), "group", "press") else f"{word}_{letter}"
+        words[k] = letter if word in (*words.values(), "group", "press") else word
     return words
 
 
@@ -405,6 +406,8 @@ def _content(kind: _Kind, path: Path) -> str:
         return f"object of {len(whole)} keys: {', '.join(keys[:_KEYS_SHOWN])}"
     if suffix in (".csv", ".tsv", *TABLES, ".json"):
         columns, rows = table_rows(path)
+        if suffix in TEXTS_OF_NUMBERS and all(map(_RUN_OF_DIGITS.fullmatch, columns)):
+            return f"numbers without names: {len(rows) + 1} x {len(columns)}"
         kind.columns, kind.is_table = dict.fromkeys(columns, ()), True
         kind.cells = {column: [row.get(column, "") for row in rows] for column in columns}
         more = ", ..." if len(columns) > _KEYS_SHOWN else ""
@@ -415,6 +418,9 @@ def _content(kind: _Kind, path: Path) -> str:
         kind.picture = arrays[""].shape if suffix == ".npy" and arrays and arrays[""].ndim in (2, 3) else ()
         shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
         return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
+    if suffix in TEXTS_OF_NUMBERS:
+        lines, places = ArrayFiles().of(path)[0][""].shape
+        return f"numbers without names: {lines} x {places}"
     if suffix in VIDEOS:
         return f"video of {len(video_frames(path))} frames"
     if suffix in (".tif", ".tiff") and len(pages := ArrayFiles().of(path)[0][""]) > 1:

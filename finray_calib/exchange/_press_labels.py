@@ -33,7 +33,7 @@ from finray_calib.exchange._capture_recipe import (
     composed,
 )
 from finray_calib.exchange._press_files import LeftOutError, PressFile, is_named, named_file, number_in_name
-from finray_calib.exchange._set_files import ARRAY_IN, ArrayFiles, file_of, map_of, table_rows
+from finray_calib.exchange._set_files import ARRAY_IN, TEXTS_OF_NUMBERS, ArrayFiles, file_of, map_of, table_rows
 
 Floats = NDArray[np.float64]
 Corners = NDArray[np.float32]
@@ -67,6 +67,7 @@ class LabelTable:
     rows: list[dict[str, str]]
     by_path: dict[str, list[dict[str, str]]]
     by_last: dict[str, list[dict[str, str]]]
+    by_end: dict[str, list[dict[str, str]]]
     _times: dict[str, Floats] = field(default_factory=dict)
 
     def row(self, name: str, file: Path, last_parts: Mapping[str, bool]) -> dict[str, str] | None:
@@ -79,7 +80,13 @@ class LabelTable:
         """
         sole = [part for part, is_sole in last_parts.items() if is_sole]
         paths = (name, name + file.suffix, composed(file.as_posix()))
-        for table, keys in ((self.by_path, paths), (self.by_last, sole), (self.by_last, last_parts)):
+        ends = [part for part in sole if "/" in part]
+        for table, keys in (
+            (self.by_path, paths),
+            (self.by_end, ends),
+            (self.by_last, sole),
+            (self.by_last, last_parts),
+        ):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
                 raise LeftOutError("several lines of the table name this press, with different values")
@@ -110,14 +117,26 @@ def last_parts_of(files: Mapping[str, Path]) -> dict[str, dict[str, bool]]:
     """Return press -> what a line may call it without the folders before, and whether that is said of it alone.
 
     That is its file, its name, and the stem of its file where the name is in it; of ``{press}/image.png`` all presses
-    would be called "image.png".
+    would be called "image.png", and are told apart by folders, the most of them first.
     """
     called: dict[str, tuple[str, ...]] = {}
     for name, path in files.items():
         last, stem = PurePosixPath(name).name, composed(path.stem)
         called[name] = (composed(path.name), last, *((stem,) if last in stem else ()))
     presses = Counter(part for parts in called.values() for part in enumerate(parts))
-    return {name: {part: presses[k, part] == 1 for k, part in enumerate(parts)} for name, parts in called.items()}
+    ends = {name: _ends(PurePosixPath(composed(path.as_posix()))) for name, path in files.items()}
+    presses_of_end = Counter(end for of_press in ends.values() for end in of_press)
+    return {
+        name: {part: presses[k, part] == 1 for k, part in enumerate(parts)}
+        | {end: presses_of_end[end] == 1 for end in ends[name]}
+        for name, parts in called.items()
+    }
+
+
+def _ends(path: PurePosixPath) -> list[str]:
+    """Return a path without its first folders, the longest first, down to the file in its last folder."""
+    parts = [part for part in path.parts if part != "/"]
+    return ["/".join(parts[k:]) for k in range(len(parts) - 1)]
 
 
 def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable:
@@ -128,7 +147,7 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
             f"{path}: has no column '{press}' that {'names the press' if is_name else 'holds the time'}; it has "
             f"{', '.join(columns)}"
         )
-    table = LabelTable(columns, rows, {}, {})
+    table = LabelTable(columns, rows, {}, {}, {})
     for row in rows if is_name else ():
         text = composed(row.get(press, "").strip().replace("\\", "/"))
         keyed = list[tuple[dict[str, list[dict[str, str]]], str]]()
@@ -137,6 +156,7 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
             # what follows the last dot of "press_1.5" is not a kind of file
             last = {named.name, named.stem} if not named.suffix[1:].isdigit() else {named.name}
             keyed += [(table.by_path, named.as_posix()), *((table.by_last, key) for key in last)]
+            keyed += [(table.by_end, end) for end in _ends(named)]
         for found, key in keyed:
             lines = found.setdefault(key, [])
             if row not in lines:
@@ -175,7 +195,7 @@ def label_entry(path: Path, value: str, files: ArrayFiles, of_matrix: bool = Fal
     ):
         raise ImportFormatError(
             f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers"
-            + (f" of shape {array.shape}: name one by the index of each axis" if array.ndim > 1 else "")
+            + (f" of shape {array.shape}: name one by the index of each axis, from 0" if array.ndim > 1 else "")
         )
     if not np.isfinite(array[tuple(at or [0])]):  # of a matrix: the track was lost
         raise LeftOutError(f"its '{name}' is not finite")
@@ -268,7 +288,8 @@ class PressLabels:
         if kind in PICKLED:
             raise ImportFormatError(f"{path}: {pickle_words(path)}")
         of_table = labels.press is not None or labels.nearest is not None
-        if kind in (".npz", ".npy") or (kind == ".json" and not of_table):
+        of_numbers = not of_table and value.startswith("[") and kind in TEXTS_OF_NUMBERS
+        if kind in (".npz", ".npy") or of_numbers or (kind == ".json" and not of_table):
             if not has_file(path):
                 raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
             self.made_of.add(path)
@@ -281,7 +302,8 @@ class PressLabels:
         if key is None:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': 'press' is missing next to file = \"{labels.file}\"; name "
-                "the column that holds the press of each line (a file for each press must be npz or JSON)"
+                "the column that holds the press of each line (of a file for each press, or one without a header, "
+                'name places, such as "[0]" and "[{press}, 0]")'
             )
         if (path, key) not in self._tables:
             self._tables[path, key] = read_label_table(path, key, labels.nearest is None)
@@ -482,9 +504,9 @@ def above_zero(what: str, value_mm: float | None, remedy_below: str = "") -> Non
         It is not above 0.
     """
     if value_mm is not None and not value_mm > 0.0:
-        raise LeftOutError(
-            f"its {what} is {value_mm:g} mm in the table; it must be above 0{remedy_below if value_mm < 0.0 else ''}"
-        )
+        remedy = remedy_below if value_mm < 0.0 else ""
+        told = "below 0" if remedy == _FALLS else f"{value_mm:g} mm"  # one sentence for all presses
+        raise LeftOutError(f"its {what} is {told} in the table; it must be above 0{remedy}")
 
 
 def pushing(force_n: float) -> float:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError
 from data_schemas.storage import (
+    finite_number,
     has_file,
     parse_in_child,
     parse_json,
@@ -141,6 +142,8 @@ _BMP_START: Final = b"BM"
 #: More pixels of an OpenEXR image above full scale than these are no highlight, and fewer steps below it no picture.
 _MOST_ABOVE_FULL, _LEAST_STEPS = 0.01, 256
 ARRAY_FILES: Final = (".npz", ".npy", ".tif", ".tiff")
+#: Of numbers alone, without names of columns: lines of equally many.
+TEXTS_OF_NUMBERS: Final = (".txt", ".csv", ".tsv", ".dat")
 _MOST_KEPT = 2
 #: Between a file and the array in it: ``set.npz::images[{press}]``.
 ARRAY_IN: Final = "::"
@@ -159,14 +162,14 @@ class ArrayFiles:
             while len(self._kept) >= _MOST_KEPT:
                 del self._kept[next(iter(self._kept))]
             kind = path.suffix.lower()
-            if kind not in ARRAY_FILES:
+            if kind not in (*ARRAY_FILES, *TEXTS_OF_NUMBERS):
                 raise ImportFormatError(
                     f"{path}: arrays of pictures are read from {', '.join(ARRAY_FILES)}; {_conversion(path)}"
                 )
             if kind == ".npz":
                 self._kept[path] = read_npz(path)
             else:
-                self._kept[path] = ({"": _stack(path)}, ())
+                self._kept[path] = ({"": (_stack if kind in ARRAY_FILES else _numbers_of_text)(path)}, ())
         return self._kept[path]
 
     def array(self, path: Path, name: str) -> NDArray[Any]:
@@ -249,6 +252,27 @@ def largest_within(values: Floats, corners_px: Corners | None) -> float:
         return float(values.max())
     corners = np.rint([corners_px[k] for k in (0, 1, 3, 2)]).astype(np.int32)
     return float(values[cv2.fillConvexPoly(np.zeros(values.shape, np.uint8), corners, 1) > 0].max(initial=-np.inf))
+
+
+def _numbers_of_text(path: Path) -> Floats:
+    """Return the numbers of a text, (lines, numbers), parted by blanks, tabs, commas or semicolons; # begins a comment.
+
+    Raises
+    ------
+    ImportFormatError
+        Something else is in it, or its lines differ in length.
+    """
+    lines = (line.partition("#")[0] for line in read_text(path, "a text of numbers", ImportFormatError).splitlines())
+    rows = [re.split(r"[\s,;]+", line.strip(" \t,;")) for line in lines if line.strip()]
+    if len({len(row) for row in rows}) != 1:
+        raise ImportFormatError(f"{path}: must hold lines of equally many numbers to be read by their places")
+    try:
+        return np.array([[finite_number(cell) for cell in row] for row in rows], dtype=np.float64)
+    except ValueError as error:
+        raise ImportFormatError(
+            f"{path}: must hold numbers alone, with decimal points, to be read by their places: {error}; name the "
+            "columns of a table in place of places"
+        ) from None
 
 
 def _stack(path: Path) -> NDArray[Any]:

@@ -111,7 +111,7 @@ def test_letters_of_two_parts_and_hidden_files_of_macos_are_read(tmp_path):
             'depth_mm = "depth"\n',
             r"450 mm, but ball diameter and contact circles give about 0\.458 mm.* = \"um\"",
         ),
-        ("depth", -0.45, 'depth_mm = "depth"\n', r"-0\.45 mm in the table.* z = its name.* \[indenter\.pose\]"),
+        ("depth", -0.45, 'depth_mm = "depth"\n', r"is below 0 in the table; .* z = its name.* \[indenter\.pose\]"),
         ("depth", 0, 'depth_mm = "depth"\n', r"its depth, from first touch, is 0 mm in the table; it must be above 0"),
         ("depth", "0,45", 'depth_mm = "depth"\n', r"depth of p0 must be a number, got '0,45'; write it with a decimal"),
         ("depth", "", 'depth_mm = "depth"\n', r"must be a number, got ''; .* name the press in presses\.leave_out"),

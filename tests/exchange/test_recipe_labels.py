@@ -588,8 +588,49 @@ def test_a_depth_that_falls_as_the_gel_is_pressed_in_is_the_z_of_a_pose(tmp_path
     """As the refusal of a negative depth says."""
     (numbered(tmp_path) / "t.csv").write_text("n,z\n" + "".join(f"{k},{-0.2 - 0.1 * k}\n" for k in range(len(PRESSES))))
     text = NUMBERED + '[indenter]\nshape = "ball"\nfile = "t.csv"\npress = "n"\n'
-    with pytest.raises(ImportFormatError, match=r"-0\.2 mm in the table; it must be above 0: where it falls"):
+    with pytest.raises(ImportFormatError, match=r"is below 0 in the table; it must be above 0: where it falls"):
         read_by_recipe(tmp_path, told(text + 'depth_mm = "z"'))
     pose = '[indenter.pose]\nz = "z"\nx = 0\ny = 0\nunit = "mm"\nfirst_touch_mm = 0\n'
     found = read_by_recipe(tmp_path, told(text + pose)).captures
     assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.2 + 0.1 * k for k in range(len(PRESSES))])
+
+
+@pytest.mark.parametrize("ending", [".txt", ".csv", ".dat"])
+def test_numbers_without_names_are_read_by_their_places(tmp_path, ending):
+    """As numpy.savetxt writes them: one file of all presses, and one for each."""
+    mark = "," if ending == ".csv" else " "
+    for k, (row, column) in enumerate(PLACES):
+        (tmp_path / f"at_{k}{ending}").write_text(f"# column row\n{column:.4e}{mark}{row:.4e}\n")
+    lines = [f"20.5{mark}{0.2 + 0.1 * k}" for k in range(len(PLACES))]
+    (numbered(tmp_path) / f"all{ending}").write_text("\n".join(lines))
+    contact = (
+        f'[contact]\nfile = "at_{{press}}{ending}"\ncircle = {{ column_px = "[0]", row_px = "[1]", radius_px = 20 }}\n'
+    )
+    text = NUMBERED + contact + f'[indenter]\nshape = "ball"\nfile = "all{ending}"\ndepth_mm = "[{{press}}, 1]"'
+    found = read_by_recipe(tmp_path, told(text)).captures.values()
+    assert [(c.contact_circle.row_px, c.contact_circle.column_px) for c in found] == PLACES
+    assert [c.indenter.depth_mm for c in found] == pytest.approx([0.2 + 0.1 * k for k in range(len(PLACES))])
+    for words, message in (("1 2\n3\n", "lines of equally many numbers"), ("x,y\n1,2\n", "'x' is not a finite number")):
+        (tmp_path / f"all{ending}").write_text(words)
+        with pytest.raises(ImportFormatError, match=message):
+            read_by_recipe(tmp_path, told(text))
+
+
+def test_a_table_of_paths_from_elsewhere_names_presses_that_share_their_file_name(tmp_path):
+    for k, image in enumerate(PRESSES[:4]):
+        put(tmp_path / "raw" / f"day{k // 2}" / f"press{k % 2}" / "gel.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    lines = [f"..\\raw\\day{k // 2}\\press{k % 2}\\gel.png,{0.3 + 0.1 * k}" for k in range(4)]
+    text = """
+        presses = { files = "raw/day{day}/press{number}/gel.png" }
+        no_contact = { file = "rest.png" }
+        indenter = { shape = "ball", file = "t.csv", press = "path", depth_mm = "z" }
+    """
+    for ours in (lines, [line.replace("..\\raw\\", "") for line in lines]):
+        (tmp_path / "t.csv").write_text("\n".join(["path,z", *ours]))
+        found = read_by_recipe(tmp_path, told(text)).captures
+        assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.3, 0.4, 0.5, 0.6])
+    # of another day, or of no day: not those of a press that only shares the end
+    (tmp_path / "t.csv").write_text("path,z\npress0/gel.png,0.3\nday9/press1/gel.png,0.4\n")
+    with pytest.raises(ImportFormatError, match=r"none of its 4 presses can be read"):
+        read_by_recipe(tmp_path, told(text))
