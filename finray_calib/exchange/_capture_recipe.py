@@ -325,14 +325,31 @@ SIZES: Final[tuple[_Size, ...]] = ("diameter_mm", "radius_mm", "depth_mm", "posi
 COLUMN_UNITS_MM: Final = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 
 
+class RecipeFrames(Model):
+    """When the frames of a video were taken, by the clock of a table of forces, which begins with the first."""
+
+    time: str = Field(description="column of the table that holds the time")
+    unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of the column")
+    first: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        default=None, description="time of the first frame in the column, where that is not the first line"
+    )
+    per_s: AboveZero | None = Field(default=None, description="frames in a second, in place of the times in the video")
+
+    @property
+    def unit_s(self) -> float:
+        """Seconds in a unit of the column."""
+        return {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[self.unit]
+
+
 class RecipeForce(RecipeLabels):
-    """Where the force is: of videos one number for each frame, in a CSV or npy file that holds {press}."""
+    """Where the force is: of videos one number for each frame, or with its time, in a CSV or npy file with {press}."""
 
     column: str | None = Field(
         default=None, description="column or array that holds the force, or {force} of a name; leave out for npy"
     )
     unit: Literal["N", "mN", "g", "kg"] = Field(default="N", description="unit of the column; g and kg weigh as much")
     factor: float = Field(default=1.0, description="in place of unit: newtons per unit of the file")
+    frames: RecipeFrames | None = Field(default=None, description="matches lines of a table to frames by their times")
 
     @model_validator(mode="after")
     def _has_a_source(self) -> "RecipeForce":

@@ -28,8 +28,8 @@ from finray_calib.exchange._set_files import (
     exr_rgb,
     flat_entries,
     pixels_of,
+    read_video,
     table_rows,
-    video_frames,
 )
 
 
@@ -422,7 +422,7 @@ def _content(kind: _Kind, path: Path) -> str:
         lines, places = ArrayFiles().of(path)[0][""].shape
         return f"numbers without names: {lines} x {places}"
     if suffix in VIDEOS:
-        return f"video of {len(video_frames(path))} frames"
+        return f"video of {len(read_video(path).frames)} frames"
     if suffix in (".tif", ".tiff") and len(pages := ArrayFiles().of(path)[0][""]) > 1:
         kind.columns = {"": (*pages.shape[:3], 3)}
         return f"pictures: {len(pages)} of {pages.shape[2]} x {pages.shape[1]} px, {pages.dtype}"

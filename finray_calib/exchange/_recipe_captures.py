@@ -27,6 +27,7 @@ from finray_calib.exchange._capture_recipe import (
     PRESS,
     Recipe,
     RecipeDepthMap,
+    RecipeFrames,
     require_circles_on_contacts,
     require_possible_depths,
     require_possible_scale,
@@ -46,6 +47,7 @@ from finray_calib.exchange._set_files import (
     CONVERT_VIDEO,
     VIDEOS,
     ArrayFiles,
+    Video,
     begins_early,
     exr_rgb,
     file_of,
@@ -54,11 +56,11 @@ from finray_calib.exchange._set_files import (
     largest_within,
     longest_hold,
     pixels_of,
+    read_video,
     require_alike,
     small_frame,
     steps_of,
     stretched,
-    video_frames,
 )
 from finray_calib.sensing import (
     changes_elsewhere,
@@ -74,6 +76,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 _REASONS_SHOWN: Final = 5
+#: Lines of a table within the time of a video: fewer are in another unit of time.
+_LEAST_FORCES: Final = 3
 #: Gel beside a contact rises, or stays; a map whose untouched values are not 0 exceeds any small depth everywhere.
 _MOST_IN_CONTACT: Final = 0.98
 #: Presses that the median stands on, spread over the set: of more it hardly changes, and they fill the memory.
@@ -420,11 +424,12 @@ class _Folder:
             )
         path = self.files[name].path
         self._made_of.add(path)
-        frames = video_frames(path)
+        video = read_video(path)
+        frames = video.frames
         if len(frames) <= before:
             raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
         first = small_frame(frame_of(frames[0], path))
-        force = self._force(name, len(frames))
+        force = self._force(name, video)
         if force is None:
             strength = np.array([np.abs(small_frame(frame_of(frame, path)) - first).mean() for frame in frames])
         else:  # many load cells count compression as negative, or rest beside zero
@@ -443,7 +448,7 @@ class _Folder:
         force_n = self._picture_force(name) if named else None if force is None else pushing(float(force[held]))
         return [self._arranged(image) for image in images], force_n
 
-    def _force(self, name: str, frames: int) -> Floats | None:
+    def _force(self, name: str, video: Video) -> Floats | None:
         """Return the force of each frame, N; None where there is no file."""
         source = self.recipe.force
         if source is None or source.file is None:
@@ -454,7 +459,10 @@ class _Folder:
         if not has_file(path):
             return None
         self._made_of.add(path)
+        frames = len(video.frames)
         try:
+            if source.frames is not None:
+                return self._force_by_time(name, video, path, source.frames) * source.newtons
             values = (
                 np.array([finite_number(cell) for cell in label_column(path, source.column)])
                 if path.suffix.lower() == ".csv"
@@ -464,9 +472,35 @@ class _Folder:
             raise ImportFormatError(f"{path}: every force must be a finite number: {error}") from None
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
-                f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed"
+                f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed, "
+                "or frames = { time = COLUMN } below [force], which matches them by time"
             )
         return np.asarray(values * source.newtons)
+
+    def _force_by_time(self, name: str, video: Video, path: Path, source: RecipeFrames) -> Floats:
+        """Return the force at the time of each frame, between those of a table, in its unit."""
+        column = None if self.recipe.force is None else self.recipe.force.column
+        times, values = (
+            np.array([finite_number(cell) for cell in label_column(path, of)]) for of in (source.time, column)
+        )
+        taken_s = video.times_s if source.per_s is None else np.arange(len(video.frames)) / source.per_s
+        if taken_s is None:
+            raise ImportFormatError(
+                f"{self.files[name].path}: states no times of its frames; give per_s, frames in a second, below "
+                "[force.frames]"
+            )
+        if not times.size or not (np.diff(times) > 0.0).all():
+            raise ImportFormatError(f"{path}: the times in {source.time} must rise from line to line; sort the table")
+        first = times[0] if source.first is None else source.first
+        since_s = (times - first) * source.unit_s
+        apart_s = float(np.median(np.diff(since_s))) if since_s.size > 1 else 0.0  # recordings end within a sample
+        outside = taken_s[0] < since_s[0] - apart_s or taken_s[-1] > since_s[-1] + apart_s
+        if outside or ((since_s >= taken_s[0]) & (since_s <= taken_s[-1])).sum() < _LEAST_FORCES:
+            raise ImportFormatError(
+                f"{path}: its {len(since_s)} forces are of {since_s[0]:.4g} to {since_s[-1]:.4g} s after the first "
+                f"frame, and the frames of 0 to {taken_s[-1]:.4g} s; correct unit, first and per_s below [force.frames]"
+            )
+        return np.asarray(np.interp(taken_s, since_s, values))
 
     def _picture_force(self, name: str) -> float | None:
         """Return the force of a press that has one, N."""

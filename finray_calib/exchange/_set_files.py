@@ -4,6 +4,7 @@ import os
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -40,8 +41,24 @@ _DEEPEST_LIST = 6
 CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
 
 
-def video_frames(path: Path) -> list[bytes]:
-    """Return the bytes of every frame of a video, JPEG (Motion JPEG in AVI) or PNG (decoded), in order.
+@dataclass(frozen=True, slots=True)
+class Video:
+    """Frames of a video.
+
+    Attributes
+    ----------
+    frames
+        Bytes of every frame, JPEG (Motion JPEG in AVI) or PNG (decoded), in order.
+    times_s
+        Their times by the file from the first frame on, s; None where it states none.
+    """
+
+    frames: list[bytes]
+    times_s: Floats | None
+
+
+def read_video(path: Path) -> Video:
+    """Return the frames of a video.
 
     Raises
     ------
@@ -50,15 +67,18 @@ def video_frames(path: Path) -> list[bytes]:
     """
     content = read_bytes(path, "a video", ImportFormatError, LARGEST_VIDEO_BYTES)
     if (frames := _motion_jpeg_frames(content, path)) is not None:
-        return frames
+        frame_s = _seconds_per_frame(content)
+        return Video(frames, None if frame_s is None else np.arange(len(frames), dtype=np.float64) * frame_s)
     _, found = parse_in_child(f"{__name__}:decoded_video", content, path, "a video", ImportFormatError)
     ends = found["ends"].tolist()
-    return [found["frames"][start:end].tobytes() for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+    frames = [found["frames"][start:end].tobytes() for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+    times_s = np.asarray(found["times_ms"] - found["times_ms"][0], dtype=np.float64) / 1e3
+    return Video(frames, times_s if len(frames) == 1 or (np.diff(times_s) > 0.0).all() else None)
 
 
 def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[Any]]]:
-    """Decode a video into PNG frames; the child's side of :func:`video_frames`."""
-    frames, ends = bytearray(), list[int]()
+    """Decode a video into PNG frames; the child's side of :func:`read_video`."""
+    frames, ends, times_ms = bytearray(), list[int](), list[float]()
     decoded = len(content)
     with TemporaryDirectory(prefix="finray-video-") as folder:
         file = Path(folder) / "video"
@@ -75,10 +95,21 @@ def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
             # one growing buffer: to join a list of frames would need the memory twice
             frames += cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].data
             ends.append(len(frames))
+            times_ms.append(video.get(cv2.CAP_PROP_POS_MSEC))
         video.release()
     if not frames:
         raise ImportFormatError(f"{where}: cannot be decoded as a video; {CONVERT_VIDEO}")
-    return None, {"frames": np.frombuffer(frames, dtype=np.uint8), "ends": np.array(ends, dtype=np.int64)}
+    found = {"ends": np.array(ends, dtype=np.int64), "times_ms": np.array(times_ms)}
+    return None, {"frames": np.frombuffer(frames, dtype=np.uint8), **found}
+
+
+def _seconds_per_frame(content: bytes) -> float | None:
+    """Return the time from frame to frame that the stream header of an AVI file states; None where there is none."""
+    at = content.find(b"vids", 0, 1 << 16)  # behind it handler, flags, priority and language, first frame, scale, rate
+    if at < 8 or content[at - 8 : at - 4] != b"strh" or at + 28 > len(content):
+        return None
+    scale, rate = struct.unpack("<II", content[at + 20 : at + 28])
+    return scale / rate if scale and rate else None
 
 
 def _motion_jpeg_frames(content: bytes, path: Path) -> list[bytes] | None:

@@ -14,7 +14,7 @@ from finray_calib.compare import compare_press
 from finray_calib.exchange import Recipe, read_by_recipe, read_renders
 from finray_calib.sensing import vote_on_circles
 from tests.exchange.ball_press_folders import eight_bits
-from tests.exchange.recipe_folders import CONTACT_PX, PLACES, dome, flat
+from tests.exchange.recipe_folders import CONTACT_PX, PLACES, dome, flat, grasp, write_video
 
 PRESSES, UNTOUCHED = [eight_bits(dome(*place)) for place in PLACES], eight_bits(flat())
 SIXTEEN = np.uint16(257)
@@ -432,7 +432,7 @@ def test_a_json_file_for_each_picture_and_a_table_of_forces_are_read(tmp_path, o
     recipe = recipe_of("p{press}.png", "rest.png").model_dump(exclude_defaults=True)
     recipe = Recipe.model_validate({**recipe, **tomllib.loads(text)})
     if of.startswith("no "):
-        missing = r"force\.column: missing" if of == "no column" else r"'press' is missing .* must be npz or JSON"
+        missing = r"force\.column: missing" if of == "no column" else r"'press' is missing .* name places"
         with pytest.raises(ImportFormatError, match=missing):
             read_by_recipe(folder, recipe)
         return
@@ -516,3 +516,73 @@ def test_stacks_and_other_pictures_are_refused_with_what_converts_them(tmp_path,
     (folder / f"1{ending}").write_bytes(b"\x89HDF\r\n\x1a\n")
     with pytest.raises(ImportFormatError, match=message):
         read_by_recipe(folder, recipe_of(f"{{press}}{ending}", "rest.png"))
+
+
+def filmed(folder, kind="mp4", code="mp4v", rate_hz=25.0, clock_s=1700000000.0):
+    """A grasp of 30 frames, and its force at 80 Hz by a clock of its own: 1 N in a second from the first frame on."""
+    video = cv2.VideoWriter(str(folder / f"a.{kind}"), cv2.VideoWriter_fourcc(*code), rate_hz, (160, 120))
+    for frame in grasp():
+        video.write(eight_bits(frame)[..., ::-1].copy())
+    video.release()
+    since_s = np.arange(0.0, 30.0 / rate_hz, 1.0 / 80.0)
+    # nothing before the contact, so that the held frame is that of the largest force
+    force_n = np.where(since_s < 12.0 / rate_hz, 0.0, np.where(since_s < 24.0 / rate_hz, 5.0 + since_s, 0.0))
+    lines = [f"{clock_s + t:.4f},{f:.5f}" for t, f in zip(since_s, force_n, strict=True)]
+    (folder / "a.csv").write_text("\n".join(["t,fz", *lines]))
+    return folder
+
+
+FILMED = """
+name = "t"
+what = "t"
+presses = {{ files = "{{press}}.{}" }}
+no_contact = {{ frames_before = 10 }}
+indenter = {{ shape = "ball" }}
+force = {{ file = "{{press}}.csv", column = "fz", frames = {{ time = "t"{} }} }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "rate_hz", "per_s"),
+    [("mp4", "mp4v", 25.0, ""), ("avi", "MJPG", 20.0, ""), ("mp4", "mp4v", 25.0, ", per_s = 25")],
+)
+def test_forces_of_another_clock_are_those_at_the_times_of_the_frames(tmp_path, kind, code, rate_hz, per_s):
+    text = FILMED.format(kind, per_s)
+    (capture,) = read_by_recipe(
+        filmed(tmp_path, kind, code, rate_hz), Recipe.model_validate(tomllib.loads(text))
+    ).captures.values()
+    middle_s = (12 + 23) // 2 / rate_hz
+    # the held frame is the middle one of those with force, give or take one
+    assert capture.force_n - 5.0 == pytest.approx(middle_s, abs=1.01 / rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            ', unit = "ms"',
+            r"its 96 forces are of 0 to 0\.001187 s after the first frame, and the frames of 0 to 1\.16 s",
+        ),
+        (", per_s = 10", r"the frames of 0 to 2\.9 s; correct unit, first and per_s below \[force\.frames\]"),
+        (", first = 1700000001.0", r"its 96 forces are of -1 to 0\.1875 s after the first frame"),
+        (
+            "",
+            r"its 96 forces are of 0 to 1188 s after the first frame, and the frames of 0 to 1\.16 s",
+        ),  # of milliseconds
+    ],
+)
+def test_forces_of_another_time_than_the_frames_are_refused(tmp_path, more, message):
+    filmed(tmp_path)
+    if not more:
+        lines = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()[1:]]
+        text = "\n".join(["t,fz", *(f"{1e3 * (float(t) - 1.7e9):.1f},{force}" for t, force in lines)])
+        (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(ImportFormatError, match=message):
+        read_by_recipe(tmp_path, Recipe.model_validate(tomllib.loads(FILMED.format("mp4", more))))
+
+
+def test_a_video_without_times_needs_the_rate_of_its_frames(tmp_path):
+    filmed(tmp_path)
+    write_video(tmp_path / "a.avi", grasp())
+    with pytest.raises(ImportFormatError, match=r"a\.avi: states no times of its frames; give per_s"):
+        read_by_recipe(tmp_path, Recipe.model_validate(tomllib.loads(FILMED.format("avi", ""))))
