@@ -167,10 +167,29 @@ class RecipeCircle(Model):
     radius_px: Quantity
 
 
+class RecipeBox(Model):
+    """Sides of a box around the contact, each by its name, as files differ in their order."""
+
+    left_px: Finite
+    top_px: Finite
+    right_px: Finite | None = None
+    bottom_px: Finite | None = None
+    width_px: Finite | None = None
+    height_px: Finite | None = None
+
+    @model_validator(mode="after")
+    def _has_one_size(self) -> "RecipeBox":
+        ends, sizes = (self.right_px, self.bottom_px), (self.width_px, self.height_px)
+        if sorted((sum(part is not None for part in ends), sum(part is not None for part in sizes))) != [0, 2]:
+            raise ValueError("give right_px and bottom_px, or width_px and height_px in their place")
+        return self
+
+
 class RecipeContact(RecipeLabels):
-    """Where the contact is: exactly one of circle, outline, outline_px, depth_map and search."""
+    """Where the contact is: exactly one of circle, box, outline, outline_px, depth_map and search."""
 
     circle: RecipeCircle | None = None
+    box: RecipeBox | None = Field(default=None, description="around the circle of a ball, else the contact itself")
     outline: tuple[str, ...] = Field(
         default=(), description="arrays of the npz file that hold corners (column, row); the contact is their hull"
     )
@@ -184,14 +203,15 @@ class RecipeContact(RecipeLabels):
 
     @model_validator(mode="after")
     def _one_source(self) -> "RecipeContact":
-        given = (self.circle, self.outline, self.outline_px, self.depth_map, self.search)
+        given = (self.circle, self.box, self.outline, self.outline_px, self.depth_map, self.search)
         if sum(bool(source) for source in given) != 1:
-            raise ValueError("give exactly one of circle, outline, outline_px, depth_map and search")
-        named = self.circle is not None and all(
-            isinstance(value, float) or PLACEHOLDER.fullmatch(value) for _, value in self.circle
+            raise ValueError("give exactly one of circle, box, outline, outline_px, depth_map and search")
+        parts = self.circle or self.box
+        named = parts is not None and all(
+            value is None or isinstance(value, float) or PLACEHOLDER.fullmatch(value) for _, value in parts
         )
-        if (self.circle is not None or self.outline) and self.file is None and not named:
-            raise ValueError("file: missing; the circle or outline is read from it")
+        if (parts is not None or self.outline) and self.file is None and not named:
+            raise ValueError("file: missing; the circle, box or outline is read from it")
         return self
 
 

@@ -46,6 +46,7 @@ _NO_CONTACT: Final = re.compile(
     r"(^|[^a-z])(bg|background|baseline|blank|ref|rest|flat|empty|no_?contact|no_?touch|untouched|init)", re.I
 )
 _MAP: Final = re.compile("depth|height", re.I)
+_TIME: Final = re.compile(r"(t|.*time.*|.*stamp.*|.*_m?s)", re.I)
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
 _RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
@@ -286,6 +287,9 @@ def _proposals(presses: _Kind, words: Mapping[int, str], kinds: Sequence[_Kind])
             contact += [_INSTEAD, *at, f"circle = {{ {told} }}"]
             contact += [f"# CHECK that {', '.join(unsure)} are in pixels: their names do not say"] if unsure else []
         _propose_numbers(indenter, roles, at)
+        time = next((name for name in kind.columns if _TIME.fullmatch(name)), None)
+        if presses.suffix in VIDEOS and kind.is_table and time is not None and "[force]" in indenter:
+            indenter.append(f'frames = {{ time = {_toml(time)}, unit = "s" }}  # CHECK the unit: or "ms", "us", "ns"')
     if not any(line.startswith("diameter_mm") for line in indenter):
         indenter.insert(0, "diameter_mm = 4.0")
     return contact, indenter

@@ -26,6 +26,7 @@ from finray_calib.exchange._ball_presses import SourcedCircle
 from finray_calib.exchange._capture_recipe import (
     PRESS,
     Recipe,
+    RecipeContact,
     RecipeDepthMap,
     RecipeFrames,
     require_circles_on_contacts,
@@ -76,6 +77,11 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 
 _REASONS_SHOWN: Final = 5
+#: Logarithm of the ratio of sides up to which a box is one around a circle: 1.3, as drawn boxes differ.
+_MOST_OBLONG: Final = 0.27
+#: Share of a box that may lie beyond the picture: contacts at its border do.
+_MOST_BEYOND: Final = 0.25
+_ENDS_OR_SIZES: Final = "; check the order of its numbers, and whether the last two are ends or sizes"
 #: Lines of a table within the time of a video: fewer are in another unit of time.
 _LEAST_FORCES: Final = 3
 #: Gel beside a contact rises, or stays; a map whose untouched values are not 0 exceeds any small depth everywhere.
@@ -531,6 +537,8 @@ class _Folder:
             if radius <= 0.0:
                 raise LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
             return self._with_circle(capture, ContactCircle(row_px=row, column_px=column, radius_px=radius), "label")
+        if contact.box is not None:
+            return self._boxed(name, capture, contact)
         if contact.search is not None:
             placed = self._searched(capture, contact.search)
             fields = ("contact_circle", "contact_outline", "contact_told_by")
@@ -543,6 +551,33 @@ class _Folder:
             raise LeftOutError("the recipe gives no outline for this press")
         corners = tuple(PlaceInImage(column_px=float(c), row_px=float(r)) for c, r in places)
         return capture.model_copy(update={"contact_outline": corners, "contact_told_by": "label"})
+
+    def _boxed(self, name: str, capture: TactileCapture, contact: RecipeContact) -> TactileCapture:
+        """Return the capture with the circle in a box, or the box where it is no ball that was pressed in."""
+        sides = {side: value for side, value in contact.box or () if value is not None}
+        left, top, right, bottom = (self._labels.number(name, contact, value) for value in sides.values())
+        if "width_px" in sides:
+            right, bottom = left + right, top + bottom
+        width_px, height_px = right - left, bottom - top
+        if not (width_px > 0.0 and height_px > 0.0):
+            raise LeftOutError(f"its box has no size{_ENDS_OR_SIZES}")
+        rows, columns = capture.contact.shape[:2]
+        beyond = max(-left / width_px, (right - columns) / width_px, -top / height_px, (bottom - rows) / height_px)
+        if beyond > _MOST_BEYOND:
+            raise ImportFormatError(
+                f"recipe '{self.recipe.name}', contact.box: that of {name} reaches from column {left:g}, row {top:g} "
+                f"to column {right:g}, row {bottom:g} of a picture of {columns} x {rows} px{_ENDS_OR_SIZES}"
+            )
+        if capture.indenter.shape == "ball":
+            if abs(np.log(width_px / height_px)) > _MOST_OBLONG:
+                raise LeftOutError(f"its box is not around a circle{_ENDS_OR_SIZES}")
+            circle = ContactCircle(
+                row_px=(top + bottom) / 2.0, column_px=(left + right) / 2.0, radius_px=(width_px + height_px) / 4.0
+            )
+            return self._with_circle(capture, circle, "label")
+        corners = tuple(PlaceInImage(column_px=c, row_px=r) for r in (top, bottom) for c in (left, right))
+        ordered = (corners[0], corners[1], corners[3], corners[2])
+        return capture.model_copy(update={"contact_outline": ordered, "contact_told_by": "label"})
 
     def _searched(self, capture: TactileCapture, what: Literal["circle", "outline"]) -> TactileCapture:
         """Return the capture with the contact that a search finds."""

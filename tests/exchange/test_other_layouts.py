@@ -586,3 +586,45 @@ def test_a_video_without_times_needs_the_rate_of_its_frames(tmp_path):
     write_video(tmp_path / "a.avi", grasp())
     with pytest.raises(ImportFormatError, match=r"a\.avi: states no times of its frames; give per_s"):
         read_by_recipe(tmp_path, Recipe.model_validate(tomllib.loads(FILMED.format("avi", ""))))
+
+
+BOXES = {
+    "box": 'left_px = "b[0]", top_px = "b[1]", width_px = "b[2]", height_px = "b[3]"',
+    "ends": 'left_px = "e[0]", top_px = "e[1]", right_px = "e[2]", bottom_px = "e[3]"',
+    # ends taken for sizes
+    "wrong": 'left_px = "e[0]", top_px = "e[1]", width_px = "e[2]", height_px = "e[3]"',
+}
+
+
+@pytest.mark.parametrize("shape", ["ball", "cuboid"])
+@pytest.mark.parametrize("kind", list(BOXES))
+def test_a_box_is_around_the_circle_of_a_ball_or_is_the_contact(tmp_path, shape, kind):
+    lines = []
+    for k, (image, (row, column)) in enumerate(zip(PRESSES, PLACES, strict=True)):
+        put(tmp_path / f"{k}.png", image)
+        left, top = column - CONTACT_PX, row - CONTACT_PX
+        sizes = [left, top, 2.0 * CONTACT_PX, 2.0 * CONTACT_PX]
+        lines.append({"file": f"{k}.png", "b": sizes, "e": [left, top, left + sizes[2], top + sizes[3]]})
+    put(tmp_path / "rest.png", UNTOUCHED)
+    (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    text = f"""
+        name = "t"
+        what = "t"
+        presses = {{ files = "{{press}}.png", only = "?" }}
+        no_contact = {{ file = "rest.png" }}
+        contact = {{ file = "a.jsonl", press = "file", box = {{ {BOXES[kind]} }} }}
+        indenter = {{ shape = "{shape}" }}
+    """
+    recipe = Recipe.model_validate(tomllib.loads(text))
+    if kind == "wrong":
+        with pytest.raises(
+            ImportFormatError, match=r"that of 2 reaches .*, and whether the last two are ends or sizes"
+        ):
+            read_by_recipe(tmp_path, recipe)
+        return
+    for capture, (row, column) in zip(read_by_recipe(tmp_path, recipe).captures.values(), PLACES, strict=True):
+        if shape == "ball":
+            assert capture.contact_circle == ContactCircle(row_px=row, column_px=column, radius_px=CONTACT_PX)
+            continue
+        corners = {(c.column_px - column, c.row_px - row) for c in capture.contact_outline}
+        assert corners == {(a, b) for a in (-CONTACT_PX, CONTACT_PX) for b in (-CONTACT_PX, CONTACT_PX)}

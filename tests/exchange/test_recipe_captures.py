@@ -340,7 +340,7 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES.replace('file = "rest.png"', "median_of_presses = true\nfar_pixels = true"), "exactly one of file"),
         (PICTURES + "[scale]\nmm_per_px = 0.1\npx_per_mm = 10\n", "mm_per_px or px_per_mm, one of the two"),
         (PICTURES + "[scale]\nmm_per_px = 0.1\ncheck_length_mm = 10\n", "check_length_px go together"),
-        (PICTURES + "[contact]\nsearch = 'circle'\noutline = ['a']\n", "exactly one of circle, outline"),
+        (PICTURES + "[contact]\nsearch = 'circle'\noutline = ['a']\n", "exactly one of circle, box, outline"),
         (PICTURES + "[contact]\noutline = ['a']\n", "file: missing"),
         (PICTURES + "[picture]\nsize_px = [100, 100]\n", "corners_px and size_px go together"),
         (PICTURES.replace("shape =", "form ="), "form"),
