@@ -520,20 +520,24 @@ class _Names:
         return distinct_file_names(self._seen)[name]
 
 
+#: Presses that are named where only these lack something.
+_NAMED = 5
+
+
 class _Told:
     """Keep what is said of a set: its size, what the first capture tells of all, and what each of them lacks."""
 
     def __init__(self) -> None:
         self.count = 0
         self.first: TactileCapture | None = None
-        self.lacks: dict[MissingPart, int] = {}
+        self.lacks: dict[MissingPart, list[str]] = {}
 
     def add(self, capture: "TactileCapture") -> None:
         """Count a capture and what it lacks; only the first is kept."""
         self.count += 1
         self.first = self.first or capture
         for part in capture.missing:
-            self.lacks[part] = self.lacks.get(part, 0) + 1
+            self.lacks.setdefault(part, []).append(capture.name)
 
 
 def _recipe(arguments: argparse.Namespace) -> "tuple[Recipe, Path]":
@@ -586,8 +590,9 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
     suggest_file(out / CONTACTS)
     say(f"  {first.source}")
     say(f"  licence: {first.licence or 'not stated by the recipe'}")
-    for part, count in told.lacks.items():
-        some = "" if count == told.count else f" ({count} of {told.count} presses)"
+    for part, names in told.lacks.items():
+        named = f": {', '.join(names)}" if len(names) <= _NAMED else ""
+        some = "" if len(names) == told.count else f" ({len(names)} of {told.count} presses{named})"
         say(f"  lacks {part.what}{some}: {part.lost}")
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from data_schemas import ImportFormatError, MissingPart, Model, explain
+from data_schemas import ImportFormatError, MissingPart, Model, TactileCapture, explain
 from data_schemas.storage import read_toml_tables
 from finray_calib.exchange._ball_presses import LARGEST_PIXEL_MM, require_length
 from finray_calib.sensing import ROW_AND_COLUMN, vote_on_circles
@@ -508,9 +508,28 @@ def with_sizes(recipe: Recipe, ball_diameter_mm: float | None, mm_per_px: float 
 #: A ball that is pressed in by d touches over a circle whose cap is d high in a rigid pad, and half as high in a thick
 #: soft one; with a drawn circle and the play of a stage both agree to this factor.
 _DEPTH_FACTOR = 5.0
+#: The same of one press, for a radius that is off by 30 %.
+_DOUBTFUL_DEPTHS: Final = (1.0 / 1.7, 2.0 * 1.7)
 _UNITS: Final = {1e-3: '"m"', 0.1: '"cm"', 1e3: '"um"'}
 #: Without a circle: depths in mm that a gel can have.
 _DEPTHS_MM: Final = (0.01, 30.0)
+
+
+def cap_mm(capture: TactileCapture) -> float | None:
+    """Return the height of a ball's cap over its contact circle, mm; None where ball, circle or scale is not known."""
+    pose, circle = capture.indenter, capture.contact_circle
+    if pose.shape != "ball" or not pose.radius_mm or circle is None or capture.mm_per_px is None:
+        return None
+    touching_mm = min(circle.radius_px * capture.mm_per_px, pose.radius_mm)
+    return pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
+
+
+def contradicts_depth(capture: TactileCapture) -> bool:
+    """Return whether a circle is one that a ball at its depth leaves neither in a rigid pad nor in a soft one."""
+    height_mm, depth_mm = cap_mm(capture), capture.indenter.depth_mm
+    if not height_mm or depth_mm is None:
+        return False
+    return not _DOUBTFUL_DEPTHS[0] <= depth_mm / height_mm <= _DOUBTFUL_DEPTHS[1]
 
 
 def require_possible_scale(recipe: Recipe) -> None:

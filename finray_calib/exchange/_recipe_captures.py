@@ -29,6 +29,8 @@ from finray_calib.exchange._capture_recipe import (
     RecipeContact,
     RecipeDepthMap,
     RecipeFrames,
+    cap_mm,
+    contradicts_depth,
     require_circles_on_contacts,
     require_possible_depths,
     require_possible_scale,
@@ -91,6 +93,7 @@ MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
 _MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts: small errors are not seen"
+_DOUBTFUL = "the one that was found contradicts ball and depth: look at it, and correct it by --circles"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
@@ -286,13 +289,8 @@ class _Folder:
 
     def note_numbers(self, name: str, capture: TactileCapture) -> None:
         """Keep the depth, which is checked over all presses."""
-        pose, circle = capture.indenter, capture.contact_circle
-        if pose.depth_mm is not None:
-            cap_mm = None
-            if pose.shape == "ball" and pose.radius_mm and circle is not None and capture.mm_per_px is not None:
-                touching_mm = min(circle.radius_px * capture.mm_per_px, pose.radius_mm)
-                cap_mm = pose.radius_mm - float(np.sqrt(pose.radius_mm**2 - touching_mm**2))
-            self._depths[name] = (pose.depth_mm, cap_mm)
+        if capture.indenter.depth_mm is not None:
+            self._depths[name] = (capture.indenter.depth_mm, cap_mm(capture))
 
     def check_numbers(self, names: Sequence[str]) -> None:
         """Refuse numbers that contradict each other over all presses: scale, depths, places of circles."""
@@ -644,6 +642,11 @@ class _Folder:
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
             (capture.contact_told_by == "search", "a drawn contact", "found by a search: its size is known to 20 %"),
+            (
+                capture.contact_told_by == "search" and contradicts_depth(capture),
+                "a circle that suits its depth",
+                _DOUBTFUL,
+            ),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),

@@ -299,7 +299,7 @@ def test_what_some_presses_lack_is_told_with_their_number(tmp_path, monkeypatch)
     (tmp_path / "r.toml").write_text(BALLS + "depth_mm = { p0 = 0.5, p2 = 0.4 }\n")
     monkeypatch.chdir(tmp_path)
     said = succeed(f"import captures {folder} --recipe r.toml --out set")
-    assert "lacks the depth of the press (2 of 4 presses): simulate to the contact's size instead" in said
+    assert "lacks the depth of the press (2 of 4 presses: p1, p3): simulate to the contact's size instead" in said
     assert "lacks the force: stiffness" in said
 
 

@@ -628,3 +628,23 @@ def test_a_box_is_around_the_circle_of_a_ball_or_is_the_contact(tmp_path, shape,
             continue
         corners = {(c.column_px - column, c.row_px - row) for c in capture.contact_outline}
         assert corners == {(a, b) for a in (-CONTACT_PX, CONTACT_PX) for b in (-CONTACT_PX, CONTACT_PX)}
+
+
+@pytest.mark.parametrize(("depth_mm", "is_doubtful"), [(0.25, True), (0.9, False), (2.0, False), (3.0, True)])
+def test_a_found_circle_that_its_depth_contradicts_is_told(tmp_path, depth_mm, is_doubtful):
+    """The search finds 26 px of this made-up press of a ball of 46 px: 0.8 mm in a rigid pad, 1.6 mm in a soft one."""
+    for k, image in enumerate(PRESSES):
+        put(tmp_path / f"{k}.png", image)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    text = f"""
+        name = "t"
+        what = "t"
+        presses = {{ files = "{{press}}.png", only = "?" }}
+        no_contact = {{ file = "rest.png" }}
+        contact = {{ search = "circle" }}
+        scale = {{ mm_per_px = 0.1 }}
+        indenter = {{ shape = "ball", radius_mm = 4.6, depth_mm = {{ "0" = {depth_mm}, "*" = 0.9 }} }}
+    """
+    found = read_by_recipe(tmp_path, Recipe.model_validate(tomllib.loads(text))).captures
+    doubtful = [n for n, c in found.items() if any(part.what == "a circle that suits its depth" for part in c.missing)]
+    assert doubtful == (["0"] if is_doubtful else [])
