@@ -283,7 +283,7 @@ def _proposals(presses: _Kind, words: Mapping[int, str], kinds: Sequence[_Kind])
         circle = [next((name for name, (role, _) in roles.items() if role == part), "") for part in _CIRCLE]
         if all(circle):
             told = ", ".join(f"{part} = {_toml(name)}" for part, name in zip(_CIRCLE, circle, strict=True))
-            unsure = [name for name in circle if not roles[name][1].startswith("px")]
+            unsure = [name for name in circle if not roles[name][1].startswith("p")]
             contact += [_INSTEAD, *at, f"circle = {{ {told} }}"]
             contact += [f"# CHECK that {', '.join(unsure)} are in pixels: their names do not say"] if unsure else []
         _propose_numbers(indenter, roles, at)
@@ -317,9 +317,11 @@ def _propose_numbers(lines: list[str], roles: Mapping[str, tuple[str, str]], at:
 
 def _entry(name: str, shape: tuple[int, ...], kind: _Kind) -> str:
     """Return the name of a number of one press: of an array of all presses, its entry."""
-    if kind.suffix != ".npz" or len(kind.names) > 1 or not shape:
+    if kind.suffix != ".npz" or not shape:
         return name
-    return f"{name}[{{press}}]" if len(shape) == 1 else f"{name}[{{press}}, {shape[1] - 1}]"
+    if len(kind.names) > 1:  # of a vector the part along z, also of force and torque together
+        return f"{name}[2]" if shape in ((3,), (6,)) else name
+    return f"{name}[{{press}}]" if len(shape) == 1 else f"{name}[{{press}}, {min(2, shape[1] - 1)}]"
 
 
 def _press_column(kind: _Kind, presses: _Kind) -> str:
