@@ -182,8 +182,8 @@ def _fit_limits(paint: FittedPaint) -> tuple[str, ...]:
     told.append(f"Sampling: {said.sampling_statement(paint.fit.diagnostics)}")
     told.append(said.prior_statement(paint))
     told.append(
-        f"{flagged + leaked} of {bands.usable().size} signals are not used: {flagged} are flagged, and {leaked} measure "
-        "mostly what the filter leaks outside its band."
+        f"{flagged + leaked} of {bands.usable().size} signals are not used: {flagged} are flagged, and {leaked} "
+        "measure mostly what the filter leaks outside its band."
     )
     return (*told, *(f"Radiometry: {note}." for note in bands.notes))
 
