@@ -425,6 +425,20 @@ class ImportedCamera(Model):
         "monochrome camera; assumed: smooth stand-in curves, flat for a monochrome camera",
     )
 
+    @model_validator(mode="after")
+    def _values_fit_the_file(self) -> "ImportedCamera":
+        if self.bit_depth + self.left_aligned_bits > 16:
+            raise ValueError(
+                f"bit_depth = {self.bit_depth} and left_aligned_bits = {self.left_aligned_bits} together exceed the 16 "
+                "bits of an image file; give the bits of a raw count as bit_depth (12 for 12 bit stored as 16)"
+            )
+        if self.black_level_dn >= 2**self.bit_depth - 1:
+            raise ValueError(
+                f"black_level_dn = {self.black_level_dn:g} is not below full scale, which is {2**self.bit_depth - 1} "
+                f"DN at bit_depth = {self.bit_depth}; give the counts without light, before any shift"
+            )
+        return self
+
 
 class ImportedFilter(Model):
     """One band-pass filter, by its nominal values or by a measured curve (CSV: wavelength_nm,transmission)."""

@@ -540,10 +540,10 @@ def decision_sentence(
     if decision.verdict == "undecided" and not decision.at_range_end:
         parts.append("The renders are still too noisy to choose; more repeats or samples will help.")
         if next_render is not None:
-            parts.append(f"Render {next_render.angle_deg:.0f} deg next.")
+            parts.append(f"Render {next_render.angle_deg:g} deg next.")
     if next_capture is not None and (decision.verdict == "needs captures" or not captures_deg.size):
         where = f", {_at(contacts[next_capture.contact])}" if len(contacts) > 1 else ""
-        parts.append(f"Capture next with the light at {next_capture.angle_deg:.0f} deg{where}.")
+        parts.append(f"Capture next with the light at {next_capture.angle_deg:g} deg{where}.")
     return " ".join(parts)
 
 

@@ -321,6 +321,7 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
     camera = description.camera
     filter_curves = filter_curves_of(folder, description)
     wheel = wheel_of(folder, description, filter_curves)
+    _require_passes_laser(folder, description, wheel)
     response, lamp = response_of(folder, description), lamp_of(folder, description)
     # Constructed, not validated: a rig wants drivers or a simulated bench, and an imported folder has neither.
     rig = RigFile.model_construct(
@@ -355,6 +356,19 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
         frames=frames,
         notes=_notes(folder, description) + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
     )
+
+
+def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWheelSettings) -> None:
+    """Refuse an excitation filter whose band does not hold the laser line: its images would hold no laser light."""
+    chosen = next(one for one in wheel.filters if one.name == description.excitation_filter)
+    low_nm, high_nm = chosen.center_nm - 0.5 * chosen.fwhm_nm, chosen.center_nm + 0.5 * chosen.fwhm_nm
+    laser = description.laser
+    if not low_nm - 0.5 * laser.fwhm_nm <= laser.wavelength_nm <= high_nm + 0.5 * laser.fwhm_nm:
+        raise ImportFormatError(
+            f"{folder / DESCRIPTION_NAME}: excitation_filter '{chosen.name}' passes {low_nm:g} to {high_nm:g} nm, but "
+            f"laser.wavelength_nm is {laser.wavelength_nm:g} nm; name the filter that passes the laser, or correct the "
+            "wavelength"
+        )
 
 
 def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:

@@ -255,14 +255,15 @@ def netcdf_bytes(paint: PaintCalibration, spectra: PaintSpectra, origin: Provena
     Raises
     ------
     MissingExtraError
-        xarray or h5netcdf is not installed.
+        xarray, h5netcdf or h5py is not installed.
     """
     try:
-        import_module(ENGINE)  # without it xarray fails later and less clearly
+        for package in (ENGINE, "h5py"):  # without them xarray fails later and less clearly
+            import_module(package)
         from xarray import DataTree
     except ImportError:
         raise MissingExtraError(
-            "export to netcdf needs xarray and h5netcdf: pip install 'finray-calib[netcdf]'"
+            "export to netcdf needs xarray, h5netcdf and h5py: pip install 'finray-calib[netcdf]'"
         ) from None
     with TemporaryDirectory() as folder:
         file = Path(folder) / "paint.nc"

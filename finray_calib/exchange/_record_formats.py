@@ -43,15 +43,17 @@ if TYPE_CHECKING:
 
 
 CHANNELS = ("red", "green", "blue")
+AXES = ("x", "y", "z")
+UNITS_OF_VECTORS = frozenset({"mm", "N", "N mm", "deg", "MPa"})
 GRID_UNITS = "nm|deg|mm|s"
 
 
 def record_dataset(record: Record) -> "Dataset":
     """Return the arrays of a record; numbers and words of it become attributes.
 
-    Red, green and blue of a filter or a pixel lie along "channel"; another dimension of fixed length N without a name
-    is "axis_N". An array along one dimension that is named after it (`wavelength_nm` along "wavelength", `grid_deg`) is
-    its coordinate.
+    Red, green and blue of a filter or a pixel lie along "channel", the components of places, forces and turns along
+    "axis"; another dimension of fixed length N without a name is "axis_N". An array along one dimension that is named
+    after it (`wavelength_nm` along "wavelength", `grid_deg`) is its coordinate.
 
     Parameters
     ----------
@@ -76,14 +78,16 @@ def record_dataset(record: Record) -> "Dataset":
         if not isinstance(value, np.ndarray):
             continue
         spec = _spec(field.annotation, field.metadata)
-        dims = _dims(spec.dims if spec is not None else (), value.shape)
-        attributes = {"units": spec.unit if spec is not None else "1"}
+        unit = "1" if spec is None else "1/nm" if spec.unit == "1" and name.endswith("_per_nm") else spec.unit
+        dims = _dims(spec.dims if spec is not None else (), value.shape, name, unit)
+        attributes = {"units": unit}
         if field.description:
             attributes["long_name"] = field.description
         is_grid = len(dims) == 1 and re.fullmatch(rf"({re.escape(dims[0])}s?|grid)_({GRID_UNITS})", name) is not None
         (coordinates if is_grid else variables)[name] = (dims, value, attributes)
-        if "channel" in dims:
-            coordinates["channel"] = (("channel",), np.array(CHANNELS), {})
+        for dim, labels in (("channel", CHANNELS), ("axis", AXES)):
+            if dim in dims:
+                coordinates[dim] = ((dim,), np.array(labels), {})
     if not variables:
         raise RecordError(
             f"this record ({type(record).__name__}) has no array that xarray could hold; read its fields instead, "
@@ -132,7 +136,7 @@ def study_dataset(result: StudyResult) -> "Dataset":
 
 def study_netcdf(result: StudyResult) -> bytes | None:
     """Return :func:`study_dataset` as netCDF; None where the packages of the extra "netcdf" are not installed."""
-    if any(importlib.util.find_spec(package) is None for package in ("xarray", "h5netcdf")):
+    if any(importlib.util.find_spec(package) is None for package in ("xarray", "h5netcdf", "h5py")):
         return None
     with TemporaryDirectory() as folder:
         file = Path(folder) / "table.nc"
@@ -148,13 +152,15 @@ def _spec(annotation: Any, metadata: Iterable[Any] = ()) -> ArraySpec | None:
     return next((spec for inner in get_args(annotation) if (spec := _spec(inner)) is not None), None)
 
 
-def _dims(names: tuple[str, ...], shape: tuple[int, ...]) -> tuple[str, ...]:
-    """Return one name for each dimension, no name twice."""
+def _dims(names: tuple[str, ...], shape: tuple[int, ...], field: str, unit: str) -> tuple[str, ...]:
+    """Return one name for each dimension of a field, no name twice."""
     found: list[str] = []
     for place, size in enumerate(shape):
         name = names[place] if place < len(names) else str(size)
         if name.isdigit():
-            name = "channel" if name == "3" and found and found[-1] in {"filter", "column"} else f"axis_{name}"
+            of_light = field == "channels" or (found and found[-1] in {"filter", "column"})
+            of_three = "channel" if of_light else "axis" if unit in UNITS_OF_VECTORS else "axis_3"
+            name = of_three if name == "3" else f"axis_{name}"
         found.append(name if name not in found else f"{name}_{place}")
     return tuple(found)
 

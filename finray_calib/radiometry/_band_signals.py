@@ -55,7 +55,12 @@ from finray_calib.radiometry._session_steps import (
     signal_covariance,
     signals_of,
 )
-from finray_calib.radiometry._step_signals import ReadFrame, StepSignal, complete_bayer_cells
+from finray_calib.radiometry._step_signals import (
+    ASSUMED_REPEATABILITY_REL,
+    ReadFrame,
+    StepSignal,
+    complete_bayer_cells,
+)
 
 Floats = NDArray[np.float64]
 SMALLEST_WHITE_SNR = 30.0
@@ -132,15 +137,28 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
         tilt_ratios=ratios,
         notes=(
             *session.notes,
-            f"light repeatability from exposure brackets: {100 * steps.repeatability_rel:.2f} % per exposure",
-            "largest drift of the dark level, from earlier to later dark frames of one exposure: "
-            f"{max(abs(d.drift_dn) for d in steps.darks.values()):.3f} DN",
+            *_steadiness_notes(session, steps),
             f"texture of paint and white tile: {100 * y.texture_sd_rel:.2f} %, the same in every band",
             *_beyond_the_tile(steps),
             *([] if trend is None else [bleaching_note(trend.record)]),
             *map(tilt_note, ratios),
         ),
     )
+
+
+def _steadiness_notes(session: CaptureSession, steps: SessionSteps) -> tuple[str, ...]:
+    """Say how steady light and dark level were, as far as repeated exposures and dark frames show it."""
+    percent = f"{100 * steps.repeatability_rel:.2f} % per exposure"
+    light = (
+        f"light repeatability is assumed: {percent}, because too few steps were exposed more than once"
+        if steps.repeatability_rel == ASSUMED_REPEATABILITY_REL
+        else f"light repeatability from exposure brackets: {percent}"
+    )
+    if not any(frame.frame_type == "dark" for frame in session.frames):
+        return (light,)
+    drift_dn = max(abs(level.drift_dn) for level in steps.darks.values())
+    dark = "largest drift of the dark level, from earlier to later dark frames of one exposure"
+    return light, f"{dark}: {drift_dn:.3f} DN"
 
 
 def rig_optics(session: CaptureSession) -> Optics:

@@ -611,7 +611,7 @@ def _next_sentence(decision: LightAngleDecision, what: str, proposal: AnglePropo
     if proposal is None:
         return f"Next {what}: none is expected to change the decision."
     return (
-        f"Next {what}: at {proposal.angle_deg:.0f} deg{_place(decision, proposal)}. It may move the chosen angle; "
+        f"Next {what}: at {proposal.angle_deg:g} deg{_place(decision, proposal)}. It may move the chosen angle; "
         f"expected gain on average: {percent(proposal.gain_rel)} of the signal (assumed uncertainty of the {what}: "
         f"{percent(proposal.noise_rel)})."
     )

@@ -116,10 +116,10 @@ def fit_verdict(paint: PaintCalibration) -> Verdict:
 
 def _lead(paint: FittedPaint) -> str:
     """Say what was measured."""
-    usable = paint.bands.usable()
+    fit = paint.fit
     return (
-        f"Emission spectrum of this paint for light at {paint.fit.optics.laser.wavelength_nm:g} nm, inferred from "
-        f"{int(usable.sum())} usable signals of {len(usable)} filters and three camera channels over "
+        f"Emission spectrum of this paint for light at {fit.optics.laser.wavelength_nm:g} nm, inferred from "
+        f"{fit.usable_values} usable signals of {len(fit.optics.filters)} filters and three camera channels over "
         f"{paint.bands.region_pixels} pixels."
     )
 
@@ -176,11 +176,15 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
 def _fit_limits(paint: FittedPaint) -> tuple[str, ...]:
     """Return warnings, the sampling, the prior, and what the bands' record has noted."""
     bands = paint.bands
-    lost = int((~bands.usable()).sum())
+    flagged = int((~bands.usable()).sum())
+    leaked = int((bands.usable() & ~paint.fit.usable).sum())
     told = [f"Warning: {warning}." for warning in paint.fit.warnings]
     told.append(f"Sampling: {said.sampling_statement(paint.fit.diagnostics)}")
     told.append(said.prior_statement(paint))
-    told.append(f"{lost} of {bands.usable().size} signals are flagged and not used.")
+    told.append(
+        f"{flagged + leaked} of {bands.usable().size} signals are not used: {flagged} are flagged, and {leaked} "
+        "measure mostly what the filter leaks outside its band."
+    )
     return (*told, *(f"Radiometry: {note}." for note in bands.notes))
 
 

@@ -59,7 +59,7 @@ from rigs.capture._exposure import (
 )
 from rigs.capture._filter_proof import judge_filters, predicted_rates, signal_floor
 from rigs.capture._picture_shift import cells_of, picture_shift
-from rigs.capture._plan import Step, planned_filters, require_named, require_region_inside
+from rigs.capture._plan import Step, metering_room_dn, planned_filters, require_named, require_region_inside
 from rigs.capture.light_off_time import ConnectionWatch, after_exception, after_kill, can_be_asked_anew
 from rigs.light_guard import GuardedLight, LightLostError, is_hazardous, open_photodiode
 
@@ -383,6 +383,7 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     """
     require_named("plan.check_name", plan.check_name)
     require_region_inside(plan.region, rig.camera)
+    metering_room_dn(plan.target_fraction, 2**rig.camera.bit_depth - 1, rig.camera.black_level_dn)
     if plan.photodiode is not None and rig.is_simulated != (plan.photodiode == "simulated"):
         allowed = "'simulated', as the rig is" if rig.is_simulated else "a serial port or pyserial URL on a real rig"
         raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")

@@ -32,7 +32,7 @@ from data_schemas import (
 )
 from rigs import Camera, OpenRig, RawFrame
 from rigs.capture._journal import beginning, lost_since
-from rigs.capture._plan import Step
+from rigs.capture._plan import Step, metering_room_dn
 from rigs.light_guard import LightLostError
 
 WHEEL_DEADLINE_S = 20.0
@@ -592,7 +592,10 @@ def meter_exposure(
     ------
     SaturatedError
         Even the shortest exposure is too bright.
+    CaptureError
+        The black level alone reaches the target.
     """
+    room_dn = metering_room_dn(target_fraction, full_scale_dn, black_level_dn)
     fits, fails = -1, len(ladder)
     guess = len(ladder) // 2 if first_guess_s is None else ladder.index(rung_at_or_below(ladder, first_guess_s))
     while fails - fits > 1:
@@ -605,7 +608,7 @@ def meter_exposure(
         counts = take(ladder[rung])
         peak_dn = brightest_dn(counts)
         signal_dn = max(peak_dn - black_level_dn, 1.0)
-        rungs_up = math.floor(math.log2((target_fraction * full_scale_dn - black_level_dn) / signal_dn))
+        rungs_up = math.floor(math.log2(room_dn / signal_dn))
         if counts.max() >= full_scale_dn or peak_dn > target_fraction * full_scale_dn:
             fails = rung
             guess = rung - SATURATED_STEPS_DOWN if peak_dn >= full_scale_dn else rung + min(rungs_up, -1)

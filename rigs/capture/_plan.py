@@ -65,6 +65,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
     filters = planned_filters(plan.filters, rig)
     excitation = _excitation_filter(plan, rig, filters)
     require_region_inside(plan.region, rig.camera)
+    metering_room_dn(plan.target_fraction, 2**rig.camera.bit_depth - 1, rig.camera.black_level_dn)
     return (
         *(Step("white", "white", "lamp", f.name, f.slot) for f in filters),
         Step("laser white", "white", "laser", excitation.name, excitation.slot),
@@ -156,6 +157,24 @@ def _excitation_filter(plan: PaintPlan, rig: RigFile, filters: list[BandPassFilt
             "name the filter that passes it"
         )
     return chosen
+
+
+def metering_room_dn(target_fraction: float, full_scale_dn: int, black_level_dn: float) -> float:
+    """Return the counts of light (DN) that metering aims at: what the target leaves above the black level.
+
+    Raises
+    ------
+    CaptureError
+        The black level alone reaches the target.
+    """
+    room_dn = target_fraction * full_scale_dn - black_level_dn
+    if room_dn <= 0.0:
+        raise CaptureError(
+            f"camera.black_level_dn = {black_level_dn:g} DN must be below target_fraction = {target_fraction:g} of "
+            f"full scale ({full_scale_dn} DN), else no exposure can be metered; correct black_level_dn in the rig "
+            "file, or raise target_fraction in the plan"
+        )
+    return room_dn
 
 
 def require_region_inside(region: RegionOfInterest, camera: CameraSettings) -> None:

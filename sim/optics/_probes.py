@@ -18,8 +18,9 @@ from sim.surface_meshes import FingerShape
 
 Floats = NDArray[np.float64]
 
-_ALONG: Final = 4001  # points of the middle line among which the ends of the contact are sought
-_MARGIN: Final = 0.05  # of the pad's length that probes stay away from its ends
+_ALONG: Final = 4001  # points of a line along the pad among which the ends of the contact are sought
+_MARGIN: Final = 0.05  # of the pad's length and width that probes stay away from its ends
+_ON_EDGE: Final = 0.5**0.5  # of an ellipse's half-width: there its edge is as far along as across
 _AT_ONCE: Final = 64  # points that are looked for together, among the triangles of their surroundings
 
 
@@ -87,18 +88,35 @@ def probes_on(design: FingerDesign, shape: FingerShape, points_xz_mm: Floats) ->
 
 
 def default_probe_points_mm(design: FingerDesign, shape: FingerShape) -> Floats:
-    """Return four points (x, z): on both ends of the contact, a sixth of the width left and right of the middle.
+    """Return four points (x, z) at both ends of the contact.
 
-    Without contact, or where the contact has no end on the pad, they lie beside the indenter's position, at most a
-    twentieth of the length from the pad's ends.
+    They lie a sixth of the width left and right of the pad's middle line, at the ends that the contact has there. A
+    contact that does not reach both of these lines, such as a ball's, has them on its own edge, at 0.71 of its
+    half-width from its middle. Without contact they lie beside the indenter's position. All keep a twentieth of the
+    pad's length and width from its ends.
     """
     pad = design.pad
+    side_mm = pad.width_mm / 6.0
+    x_mm = (shape.surfaces["coat"].uv[shape.contact_distance <= 1.0, 0] - 0.5) * pad.width_mm
+    if x_mm.size == 0 or (x_mm.min() <= -side_mm and x_mm.max() >= side_mm):
+        ends = _contact_ends_mm(design, shape, 0.0)
+        points = [[x, z] for z in ends for x in (-side_mm, side_mm)]
+    else:
+        middle, half = (x_mm.min() + x_mm.max()) / 2.0, (x_mm.max() - x_mm.min()) / 2.0
+        columns = [middle - half * _ON_EDGE, middle + half * _ON_EDGE]
+        ends_of = [_contact_ends_mm(design, shape, x) for x in columns]
+        points = [[x, ends[k]] for k in (0, 1) for x, ends in zip(columns, ends_of, strict=True)]
+    low, high = [(_MARGIN - 0.5) * pad.width_mm, _MARGIN * pad.length_mm], (1.0 - _MARGIN) * pad.length_mm
+    return np.clip(points, low, [-low[0], high])
+
+
+def _contact_ends_mm(design: FingerDesign, shape: FingerShape, x_mm: float) -> tuple[float, float]:
+    """Return where the contact begins and ends along a line of the pad; without contact, the indenter's position."""
+    pad = design.pad
     v = np.linspace(0.0, 1.0, _ALONG)
-    distance = _at(shape, "coat", shape.contact_distance, np.column_stack([np.full_like(v, 0.5), v]))
-    touching = pad.length_mm * v[distance <= 1.0]
-    ends = [touching[0], touching[-1]] if touching.size else [design.indenter.position_mm] * 2
-    ends = np.clip(ends, _MARGIN * pad.length_mm, (1.0 - _MARGIN) * pad.length_mm).tolist()
-    return np.array([[x, z] for z in ends for x in (-pad.width_mm / 6.0, pad.width_mm / 6.0)])
+    line = np.column_stack([np.full_like(v, x_mm / pad.width_mm + 0.5), v])
+    touching = pad.length_mm * v[_at(shape, "coat", shape.contact_distance, line) <= 1.0]
+    return (touching[0], touching[-1]) if touching.size else (design.indenter.position_mm,) * 2
 
 
 def radiance_meter(renderer: ModuleType, probes: Probes, number: int) -> dict[str, Any]:

@@ -23,7 +23,7 @@ PACKAGES_OF_EXTRAS = {
     "exr": ("OpenEXR",),
     "gentl": ("harvesters", "genicam"),
     "micro-manager": ("pymmcore",),
-    "netcdf": ("h5netcdf", "xarray"),
+    "netcdf": ("h5netcdf", "h5py", "xarray"),
     "nexus": ("h5py",),
 }
 FOR_A_MAKE = ("gentl", "micro-manager")

@@ -39,7 +39,7 @@ def test_without_a_report_it_carries_the_prior_of_the_error_and_decides_nothing(
     assert decision.angle_simulation_only_deg == pytest.approx(BEST_DEG, abs=2)
     assert "no capture has checked it" in decision.sentence
     assert decision.next_capture is not None
-    assert f"Capture next with the light at {decision.next_capture.angle_deg:.0f} deg" in decision.sentence
+    assert f"Capture next with the light at {decision.next_capture.angle_deg:g} deg" in decision.sentence
 
 
 def test_threads_do_not_wait_for_each_other_over_small_matrices(monkeypatch):

@@ -91,7 +91,8 @@ def test_a_shape_of_weights_that_is_unknown_is_nan(paint, spectra, origin, az, t
     assert np.isnan(az.from_netcdf(str(tmp_path / "p.nc")).sample_stats.attrs["pareto_k"])
 
 
-def test_missing_package_is_named(paint, spectra, origin, monkeypatch):
-    monkeypatch.setitem(sys.modules, "h5netcdf", None)
+@pytest.mark.parametrize("package", ["h5netcdf", "h5py"])
+def test_missing_package_is_named(paint, spectra, origin, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingExtraError, match=r"pip install 'finray-calib\[netcdf\]'"):
         netcdf_bytes(paint, spectra, origin, np.random.default_rng(1))

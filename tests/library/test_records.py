@@ -140,11 +140,13 @@ def test_arrays_have_names_and_units_in_xarray(results, example):
     data = example.to_xarray()
     assert data["emission_per_nm"].dims == ("wavelength",)
     assert data["wavelength_nm"].attrs["units"] == "nm"
+    assert data["emission_per_nm"].attrs["units"] == data["emission_high95_per_nm"].attrs["units"] == "1/nm"
     assert data["measured"].sel(channel="green").dims == ("filter",)
     np.testing.assert_array_equal(data["draws"], example.draws)
     assert data.attrs["paint_name"] == "fluorescent red"
     probes = sweep().to_xarray()
-    assert probes["probe_points_mm"].dims == ("probe", "axis_3")
+    assert probes["probe_points_mm"].dims == ("probe", "axis")
+    assert list(probes["axis"].values) == ["x", "y", "z"]
     assert "angles_deg" in probes.coords
     assert example_decision("tie").to_xarray().coords["grid_deg"].size == 121
     assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims

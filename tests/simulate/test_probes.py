@@ -44,6 +44,18 @@ def test_default_probes_flank_the_contact_and_stay_on_the_pad(pad):
     np.testing.assert_allclose(rest[:, 1], 35.0)
 
 
+def test_default_probes_lie_on_the_edge_of_a_ball_beside_the_middle():
+    """The contact of a ball is a circle of radius sqrt(2 r d - d^2), wherever on the pad it is."""
+    ball = Indenter(shape="ball", radius_mm=7.0, position_mm=26.0, across_mm=10.0, depth_mm=1.0)
+    design = FingerDesign(indenter=ball)
+    points = default_probe_points_mm(design, pressed_shape(design))
+    assert len(np.unique(points, axis=0)) == 4
+    # the coat's columns are 0.5 mm apart here, and the contact ends between two of them
+    np.testing.assert_allclose(np.hypot(*(points - [10.0, 26.0]).T), np.sqrt(13.0), atol=0.5)
+    rim = FingerDesign(indenter=ball.model_copy(update={"across_mm": 17.0}))
+    assert default_probe_points_mm(rim, pressed_shape(rim))[:, 0].max() <= 0.45 * 35.0
+
+
 @pytest.mark.parametrize(
     ("points", "said"), [(np.array([[18.0, 35.0]]), "lies outside the pad"), (np.zeros((4, 3)), "shape")]
 )
