@@ -79,7 +79,7 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         choices=FAMILY_NAMES,
         default="auto",
         metavar="FAMILY",
-        help=f"family of curves to report: {', '.join(FAMILY_NAMES[1:])} (default: the prior learned from measured "
+        help=f"report this family of curves: {', '.join(FAMILY_NAMES[1:])} (default: the prior learned from measured "
         "spectra)",
     )
     parser.add_argument(
