@@ -545,7 +545,7 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     time = {"created_utc": origin.created_utc}
     if report.provenance is None or report.provenance.model_copy(update=time) != origin:
         raise RecordError(
-            f"{path}: already exists, but was made by another command, by another version or from other files; choose "
+            f"{path}: exists already, but was made by another command, by another version or from other files; choose "
             "another --out or move it away"
         )
     return report

@@ -618,14 +618,14 @@ CASES = (
     Case(
         "no paint",
         "simulate render {lab}/finger.toml --engine scalar",
-        r"no paint for the red wall: give --paint red=FILE and",
+        r"the red wall has no paint; give --paint red=FILE and",
     ),
     Case(
         "angles in radians",
         SWEEP + " --angles 0:2.09:0.5",
         r"--angles: 5 angles of the light from 0 to 2 deg span less than 4 deg: in radians .*--narrow-sweep",
     ),
-    Case("only the red paint", SIMULATE, r"no paint for the green wall: give --paint red=FILE and --paint green=FILE"),
+    Case("only the red paint", SIMULATE, r"the green wall has no paint; give --paint red=FILE and --paint green=FILE"),
     Case(
         "two red paints",
         BOTH + " --paint red={lab}/no.json",

@@ -104,7 +104,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         ),
         (
             f"set --teach 2 --simulator mine --command '{sys.executable} -c \"raise SystemExit(3)\"'",
-            "ended with status 3",
+            "failed with exit status 3",
         ),
         (
             f"set --teach 2 --simulator mine --limit-s 0.2 --command '{sys.executable} -c \"import time; "

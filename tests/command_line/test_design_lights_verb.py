@@ -74,7 +74,7 @@ def test_a_classic_sensor_gets_even_powers(tmp_path: Path) -> None:
         ("flat-70x35 --map light.angle_deg=0:60:30", "needs a finger and two of its numbers; give --map twice"),
         ("flat-70x35 --map light.angle_deg=0:60 --map light.angle_deg=0:60:10", "FIELD=LOW:HIGH:STEP"),
         ("flat-70x35 --map light.angel_deg=0:60:10 --map pad.thickness_mm=5:6:1", "is not a field of a design"),
-        ("digit --map light.angle_deg=0:60:30 --map light.angle_deg=0:60:30", "two numbers of a finger"),
+        ("digit --map light.angle_deg=0:60:30 --map light.angle_deg=0:60:30", "a finger and two of its numbers"),
         ("digit --paint red=none.json", "carries no fluorescent paint"),
         ("nowhere.toml", "nowhere.toml"),
     ],

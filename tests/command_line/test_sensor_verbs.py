@@ -93,7 +93,7 @@ def test_the_library_takes_names_designs_and_files(design):
     assert render_sensor(small, samples=2, engine="scalar").contact.shape == (8, 8, 3)
     outcome = finray("design init nose")
     assert outcome.status == 2
-    assert "there is no preset design 'nose'; there are flat-70x35" in outcome.err
+    assert "there is no preset design 'nose'; valid names are flat-70x35" in outcome.err
     assert "gelsight-wedge" in outcome.err
 
 

@@ -283,7 +283,7 @@ def test_unusable_yields_are_refused(yields, message):
 @pytest.mark.parametrize(
     ("emission", "message"),
     [
-        (np.ones((200, 3)), "emission draws have shape"),
+        (np.ones((200, 3)), "emission draws must be finite and of shape"),
         (np.where(GRID_NM < LASER_NM, 1.0, 0.0)[None].repeat(200, 0), "is 0 at all .* above the laser's 450 nm"),
     ],
 )

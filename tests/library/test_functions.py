@@ -405,7 +405,7 @@ def test_numbers_of_a_push_are_checked_before_it():
                              ({"force_n": -1.0}, r"force_n=-1\.0: must be a finite number above 0 N"),
                              ({"force_n": np.nan}, "force_n=nan"),
                              ({"budget_s": 0}, "budget_s=0: must be a finite number above 0 s"),
-                             ({"contact": "glue"}, "contact='glue' is unknown; it is one of")):  # fmt: skip
+                             ({"contact": "glue"}, "contact='glue': must be one of")):  # fmt: skip
         with pytest.raises(SimulateError, match=message):
             finray.press_finger("flat-70x35", **numbers)
 
