@@ -41,10 +41,7 @@ def add_deck_options(parser: argparse.ArgumentParser) -> None:
     deck.add_argument("--dialect", choices=DIALECTS, help="program that the deck is for")
     deck.add_argument("--preset", choices=PRESETS, help="fineness of the mesh (default: the design's)")
     deck.add_argument(
-        "--increments",
-        type=increment_count,
-        metavar="N",
-        help=f"number of steps of the push (default: {DEFAULT_INCREMENTS})",
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default: {DEFAULT_INCREMENTS})"
     )
 
 

@@ -105,9 +105,7 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument(
         "--map", action="store_true", help="fit every pixel; BANDS is then the record of pixel signals of the session"
     )
-    parser.add_argument(
-        "--paint", type=Path, metavar="PAINT", help="fit of the region, from which the map starts (needed with --map)"
-    )
+    parser.add_argument("--paint", type=Path, metavar="PAINT", help="fit of the region (needed with --map)")
     add_out(parser, "PAINT.paint.json, with --map PAINT.map.json")
     add_seed(parser)
     parser.set_defaults(run=run)

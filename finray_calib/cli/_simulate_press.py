@@ -502,10 +502,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = jobs.add_parser("press", help=PRESS_HELP, description=PRESS_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     parser.add_argument(
-        "--increments",
-        type=increment_count,
-        metavar="N",
-        help=f"number of steps of the push (default: {DEFAULT_INCREMENTS})",
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default: {DEFAULT_INCREMENTS})"
     )
     parser.add_argument(
         "--force", type=number_within("a force in N", (0.0, LARGEST_FORCE_N), above=True), metavar="NEWTON",

@@ -415,7 +415,7 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     for words, message in (
         ("fots --recipe fots-gelsight --circles mine.csv", "77 is not a press of fots"),
         ("", "give FOLDER and --recipe NAME|FILE. The recipes that come with finray are estimate-modulus"),
-        ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4, for 5 presses"),
+        ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4 for 5 presses"),
     ):
         failed = finray(f"import captures {words} --out no")
         assert failed.status == 2
