@@ -185,4 +185,4 @@ def test_teach_and_run_lead_from_presses_to_depth(presses, tmp_path, monkeypatch
     # the spelling of an earlier version
     before = finray("study normal-map set --out again.json")
     assert before.status == 0
-    assert "type now: finray sense teach set --out again.json" in before.err
+    assert "type finray sense teach set --out again.json instead" in before.err
