@@ -209,7 +209,7 @@ def test_what_is_no_record_is_refused(lab, tmp_path):
         RecordError, match="a TOML file, not a stored record; to read a finger design, call finger_design"
     ):
         finray.read_record(lab / "finger.toml")
-    with pytest.raises(RecordError, match="band signals are needed; a plain sensor was given"):
+    with pytest.raises(RecordError, match="band signals are needed, but a plain sensor was given"):
         finray.fit_paint(PlainSensor())
 
 
@@ -251,7 +251,7 @@ def test_what_is_no_list_of_records_is_refused_by_its_own_name(lab, paint, tmp_p
     for path in (lab / "bands.json", str(lab / "bands.json")):
         with pytest.raises(RecordError, match=r"other_lights: must be a list .*, but a single path was given"):
             finray.fit_paint(lab / "bands.json", other_lights=path)
-    with pytest.raises(RecordError, match=r"sweeps: a light angle sweep is needed; a paint calibration was given"):
+    with pytest.raises(RecordError, match=r"sweeps: a light angle sweep is needed, but a paint calibration was given"):
         finray.decide_light_angle(paint)
     with pytest.raises(RecordError, match="reports: must be a list"):
         finray.decide_light_angle(lab / "sweep.json", lab / "report.json")
@@ -371,7 +371,7 @@ def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
         ({"pose_response": True}, "pose_response: is not an option of this function"),
         ({"samples": 0}, "samples=0: must be a whole number of 1 or more"),
         ({"samples": 1.5}, r"samples=1\.5: must be a whole number"),
-        ({"engine": "cpu"}, "engine='cpu' is unknown; it is one of auto, llvm, scalar, cuda"),
+        ({"engine": "cpu"}, "engine='cpu': must be one of auto, llvm, scalar, cuda"),
         ({"position_mm": 500.0}, r"indenter\.position_mm = 500\.0 mm must lie on the pad \(0 to 70\.0 mm\)"),
         ({"position_mm": np.nan}, r"'indenter\.position_mm' \(in mm\): must be a finite number"),
     ],
@@ -383,7 +383,7 @@ def test_an_option_that_a_sweep_does_not_have_is_refused(lab, paint, option, mes
 
 def test_options_of_a_press_are_checked(lab, paint):
     for option, message in (({"all_objectives": True}, "all_objectives: is not an option of this function"),
-                            ({"level": "B"}, "level='B' is unknown; it is one of a, a_inverse_square, b, c"),
+                            ({"level": "B"}, "level='B': must be one of a, a_inverse_square, b, c"),
                             ({"position_mm": -1.0}, "must lie on the pad")):  # fmt: skip
         with pytest.raises(SimulateError, match=message):
             finray.render_press(lab / "finger.toml", red=paint, green=paint, **option)
