@@ -95,13 +95,13 @@ def require_own_packages(root: Path, names: tuple[str, ...] = NEIGHBOURS) -> Non
         spec = find_spec(name)
         if spec is None or spec.origin is None:
             raise ImportError(
-                f"finray_calib needs its package '{name}' beside it in {root}; install finray-calib again"
+                f"finray_calib needs the package '{name}', but it is missing from {root}; install finray-calib again"
             )
         if Path(spec.origin).resolve().parent.parent != root.resolve():
             raise ImportError(
-                f"finray_calib needs its own package '{name}', but Python finds another package of this name at "
-                f"{spec.origin}; rename "
-                "that one, start Python from another folder, or give finray-calib an environment of its own"
+                f"finray_calib needs its own package '{name}', but Python finds a different package of the same name "
+                f"at {spec.origin}; rename that package, start Python from another folder, or install finray-calib in "
+                "a separate environment"
             )
 
 

@@ -38,7 +38,7 @@ def given(what: R | PathLike, kind: type[R]) -> tuple[R, list[Path]]:
         path = given_path(what, kind.__name__)
         return read_stored(path, kind), [path]
     raise RecordError(
-        f"{needed_kind(kind.__name__)}, as a {kind.__name__} or the path of a stored one; {_in_words(what)} was given"
+        f"{needed_kind(kind.__name__)} (a {kind.__name__} or the path of its file), but {_in_words(what)} was given"
     )
 
 
@@ -59,9 +59,9 @@ def given_list(what: object, kind: type[Record], argument: str) -> list[Any]:
     """
     if isinstance(what, (Record, os.PathLike, *NOT_IN_ORDER)) or not isinstance(what, Iterable):
         if isinstance(what, Record) and not isinstance(what, kind):
-            raise RecordError(f"{argument}: {needed_kind(kind.__name__)}; {_in_words(what)} was given")
+            raise RecordError(f"{argument}: {needed_kind(kind.__name__)}, but {_in_words(what)} was given")
         raise RecordError(
-            f"{argument}: a list is needed, each element a {kind.__name__} or the path of a stored one; "
+            f"{argument}: must be a list whose elements are each a {kind.__name__} or the path of its file, but "
             f"{_in_words(what)} was given"
         )
     return list(what)
@@ -80,7 +80,7 @@ def checked_seed(seed: int) -> int:
     except TypeError:
         number = -1
     if not 0 <= number < 2**63:
-        raise RecordError(f"seed={seed!r}: a seed is a whole number from 0 to 2^63 - 1; give one, such as 1")
+        raise RecordError(f"seed={seed!r}: must be a whole number from 0 to 2^63 - 1, such as 1")
     return number
 
 
@@ -94,7 +94,7 @@ def require_truths(**options: object) -> None:
     """
     for name, value in options.items():
         if not isinstance(value, bool) and type(value).__name__ not in ("bool", "bool_"):  # numpy's, not imported here
-            raise RecordError(f"{name}={value!r}: this option is on or off; give True or False")
+            raise RecordError(f"{name}={value!r}: must be True or False")
 
 
 def made(record: R, call: str, inputs: Iterable[Path], seed: int | None = None) -> R:
@@ -130,8 +130,8 @@ def require_progress(progress: object) -> None:
     """
     if progress is not None and not callable(progress):
         raise RecordError(
-            f"progress={progress!r}: allowed are None or a function of three arguments (steps done, steps in total, "
-            "a text), such as print"
+            f"progress={progress!r}: must be None or a function of three arguments (steps done, steps in total, a "
+            "text), such as print"
         )
 
 

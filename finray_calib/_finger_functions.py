@@ -176,9 +176,11 @@ def _require_options(options: Mapping[str, object], known: frozenset[str]) -> No
     """
     for name, value in options.items():
         if name not in known:
-            raise SimulateError(f"{name}: no such option here; there are {', '.join(sorted(known))}")
+            raise SimulateError(
+                f"{name}: is not an option of this function; valid options are {', '.join(sorted(known))}"
+            )
         if name in _CHOICES and value not in _CHOICES[name]:
-            raise SimulateError(f"{name}={value!r} is unknown; it is one of {', '.join(_CHOICES[name])}")
+            raise SimulateError(f"{name}={value!r}: must be one of {', '.join(_CHOICES[name])}")
         if name == "samples":
             _whole("samples", value, 1)
         if name in _TRUTHS:
@@ -189,14 +191,14 @@ def _whole(name: str, value: object, least: int, most: int | None = None) -> Non
     """Refuse what is not a whole number between these."""
     number = least - 1 if isinstance(value, bool) or not isinstance(value, SupportsIndex) else index(value)
     if number < least or (most is not None and number > most):
-        upto = "" if most is None else f" to {most}"
-        raise SimulateError(f"{name}={value!r}: a whole number from {least}{upto} is needed")
+        allowed = f"of {least} or more" if most is None else f"from {least} to {most}"
+        raise SimulateError(f"{name}={value!r}: must be a whole number {allowed}")
 
 
 def _positive(name: str, value: object, unit: str) -> None:
     """Refuse what is not a finite number above zero."""
     if isinstance(value, bool) or not isinstance(value, Real) or not 0.0 < float(value) < float("inf"):
-        raise SimulateError(f"{name}={value!r}: a finite number above 0 {unit} is needed")
+        raise SimulateError(f"{name}={value!r}: must be a finite number above 0 {unit}")
 
 
 def _design_of_surfaces(surfaces: Path) -> _Design:
@@ -204,8 +206,8 @@ def _design_of_surfaces(surfaces: Path) -> _Design:
     mechanics = surfaces.with_name(surfaces.name.removesuffix(SURFACES_SUFFIX) + MECHANICS_SUFFIX)
     if not mechanics.exists():
         raise SimulateError(
-            f"{surfaces}: their design is stored in {mechanics.name}, which is missing from the same folder; "
-            "give the design file instead, and this file as surfaces="
+            f"{surfaces}: the design of these surfaces is stored in {mechanics.name}, but {mechanics.name} is missing "
+            "from the folder; give the design file instead, and these surfaces as surfaces="
         )
     press, files = given(mechanics, PressMechanics)
     return _Design(press.design, surfaces.parent, files)
@@ -257,7 +259,9 @@ def press_finger(
     finger, folder, files = _design(design)
     settings = PressSettings(None, increments, machine_threads(), contact, budget_s)
     if force_n is not None and contact == "barrier":
-        raise SimulateError("force_n needs the penalty contact; leave out contact, or leave out force_n")
+        raise SimulateError(
+            "force_n works only with penalty contact, but contact='barrier' was given; leave out contact or force_n"
+        )
     with naming(SimulateError, *files[:1]):
         if force_n is not None:
             pressed = press_to_force(finger, force_n, settings, folder=folder, progress=progress)
@@ -377,7 +381,9 @@ def render_sensor(
     seed = checked_seed(seed)
     _require_options({"samples": samples, "engine": engine}, _OF_ALL)
     if samples % 2:
-        raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
+        raise SimulateError(
+            f"samples={samples}: must be an even number of 2 or more, because a press is rendered as two halves"
+        )
     design, folder, files = _plain_sensor(sensor)
     with naming(SimulateError, *files[:1]):
         press, _ = simulate_sensor_press(design, folder, _renderer(engine), seed, samples)
@@ -426,13 +432,15 @@ def fit_sensor(
     _require_options(options, _OF_A_FIT)
     read = [given(capture, TactileCapture) for capture in given_list(captures, TactileCapture, "captures")]
     if not read:
-        raise SimulateError("captures: none is given; give at least one capture of the sensor")
+        raise SimulateError("captures: the list is empty; give at least one capture of the sensor")
     if isinstance(free, NOT_IN_ORDER):
         raise SimulateError(
-            f"free={free!r}: a list of the design's numbers by dotted path is needed, such as ['pad.thickness_mm']"
+            f"free={free!r}: must be a list of dotted paths to numbers of the design, such as ['pad.thickness_mm']"
         )
     if paints is not None and not (isinstance(paints, Mapping) and set(paints) in (set(), {"red", "green"})):
-        raise SimulateError("paints: give a paint of each wall, such as {'red': PAINT, 'green': PAINT}, or none")
+        raise SimulateError(
+            "paints: must name one paint for each wall, such as {'red': PAINT, 'green': PAINT}, or be left out"
+        )
     scene, files = _layered(design, dict(paints or {}), seed, options)
     with naming(SimulateError, *files[:1]):
         fit = fit_scene(scene, [capture for capture, _ in read], free, seed, progress)
@@ -448,7 +456,7 @@ def _layered(
     samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
     if isinstance(design, PlainSensor) or _is_classic(design):
         if paints:
-            raise SimulateError("a classic sensor has no paints; leave them out")
+            raise SimulateError("paints: a classic sensor has no painted walls; leave paints out")
         sensor, folder, files = _plain_sensor(design)
         return ClassicLayers(sensor, _renderer(options.get("engine", "auto")), folder, seed, samples), files
     painted, _, files = _scene(design, paints, None, options)
@@ -473,7 +481,7 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     if isinstance(sensor, PlainSensor):
         return _valid(sensor), Path(), []
     if isinstance(sensor, FingerDesign):
-        raise SimulateError(f"{sensor.name} is a painted finger, and this function takes a classic sensor")
+        raise SimulateError(f"{sensor.name} is a painted finger, but this function supports only classic sensors")
     path = given_path(sensor, "sensor")
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
@@ -487,7 +495,9 @@ def _rendering(seed: int, options: RenderOptions) -> "Rendering":
 
     samples = options.get("samples", DEFAULT_SAMPLES_PER_PIXEL)
     if samples < 2 or samples % 2:
-        raise SimulateError(f"samples={samples}: a press is rendered as two halves; give an even number from 2")
+        raise SimulateError(
+            f"samples={samples}: must be an even number of 2 or more, because a press is rendered as two halves"
+        )
     level, pose = options.get("level", "b"), options.get("pose_response", False)
     return Rendering(level, seed, samples, with_pose_response=pose, shared_light=options.get("shared_light", False))
 
@@ -520,7 +530,7 @@ def sweep_light_angle(
     _require_options(options, _OF_A_SWEEP)
     angles_deg = _angles(angles_deg)
     if options.get("level", "b") != "b":
-        raise SimulateError("level: sweeps are always made with level b; leave level out")
+        raise SimulateError("level: sweeps support only level b; leave level out")
     if not options.get("narrow_sweep", False) and look_like_radians(angles_deg):
         raise SimulateError(f"angles_deg: {narrow_sweep_text(angles_deg)}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
@@ -540,14 +550,17 @@ def _angles(angles_deg: Sequence[float]) -> list[float]:
         angles = []
     if not angles or not all(isfinite(angle) for angle in angles):
         raise SimulateError(
-            f"angles_deg={angles_deg!r}: a list of finite angles in deg is needed, such as [0, 30, 60, 90]"
+            f"angles_deg={angles_deg!r}: must be a list of finite angles in deg, such as [0, 30, 60, 90]"
         )
     for angle in angles:
         if not -180.0 <= angle <= 180.0:
-            raise SimulateError(f"angles_deg: {angle:g} deg; an angle of the light lies from -180 to 180 deg")
+            raise SimulateError(f"angles_deg: {angle:g} deg is out of range; light angles must be from -180 to 180 deg")
     for before, angle in pairwise(angles):
         if before >= angle:
-            raise SimulateError(f"angles_deg: {angle:g} deg stands after {before:g} deg; give angles that increase")
+            raise SimulateError(
+                f"angles_deg: {angle:g} deg follows {before:g} deg, but the angles must increase; "
+                "list each angle once, in increasing order"
+            )
     return angles
 
 
@@ -621,10 +634,11 @@ def recolour_press(
 
     if (red is None) != (green is None):
         raise SimulateError(
-            "give both red and green (repeat one that does not change), or neither to keep the paints of the press"
+            "only one of red and green is given; give both (repeat the paint that does not change), or neither to "
+            "keep the paints of the press"
         )
     if red is None and camera is None and white_balance is None:
-        raise SimulateError("no change is given: give red and green, camera or white_balance")
+        raise SimulateError("no change was requested; give red and green, camera or white_balance")
     rendered, files = given(press, SimulatedPress)
     paints = {c: given(p, PaintCalibration) for c, p in (("red", red), ("green", green)) if p is not None}
     camera_file = None if camera is None else given_path(camera, "camera")

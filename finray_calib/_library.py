@@ -85,16 +85,19 @@ def read_record(path: PathLike) -> Record:
     file = given_path(path, "path")
     if file.is_dir():
         if not (file / SESSION_NAME).exists():
-            raise RecordError(f"{file}: this folder holds no session ({SESSION_NAME}); give the path of {A_RECORD}")
+            raise RecordError(
+                f"{file}: this folder contains no session ({SESSION_NAME} is missing); give the path of {A_RECORD}"
+            )
         file = file / SESSION_NAME
     if file.suffix == ".toml":
-        raise RecordError(f"{file}: is a TOML file, not a stored record; read a finger's design with finger_design")
+        raise RecordError(f"{file}: is a TOML file, not a stored record; to read a finger design, call finger_design")
     envelope = read_json(file, A_RECORD)
     kind = envelope.get("kind") if isinstance(envelope, dict) else None
     kinds = {record_type.__name__: record_type for record_type in STORED}
     if kind not in kinds:
         raise RecordError(
-            f"{file}: is not a stored record: its 'kind' is {kind!r}; there are {', '.join(sorted(kinds))}"
+            f"{file}: is not a stored record, because its 'kind' is {kind!r}; valid kinds are "
+            f"{', '.join(sorted(kinds))}"
         )
     return read_stored(file, kinds[kind])
 
@@ -113,14 +116,15 @@ def write_record(record: Record, path: PathLike) -> Path:
     """
     if not isinstance(record, Record):
         raise RecordError(
-            f"{f'{path}: ' if isinstance(path, str | os.PathLike) else ''}"
-            f"the first argument is the record, such as fit_paint returns, and the second its path; the first is "
-            f"of type {type(record).__name__}"
+            f"{(f'{path}: ' if isinstance(path, str | os.PathLike) else '')}the first argument must be a record, such "
+            f"as fit_paint returns, and the second its path, but the first is of type {type(record).__name__}"
         )
     try:
         type(record).model_validate(record.__dict__)  # model_copy(update=...) takes anything
     except ValidationError as refused:
-        raise RecordError(f"{path}: not stored, the record is not valid: {explain(refused, type(record))}") from None
+        raise RecordError(
+            f"{path}: was not written, because the record is not valid: {explain(refused, type(record))}"
+        ) from None
     origin = record.provenance
     if origin is None:
         origin = provenance("finray_calib.write_record, from Python")
@@ -129,7 +133,7 @@ def write_record(record: Record, path: PathLike) -> Path:
         origin = provenance(command, origin.input_sha256, origin.seed)
     file = given_path(path, "path")
     if file.suffix != ".json":
-        raise RecordError(f"{file}: a record is stored as .json; choose a name that ends in it")
+        raise RecordError(f"{file}: the name of a stored record must end in .json; choose another name")
     with writing(file):
         return write_stored(record, file, origin)
 
@@ -192,7 +196,8 @@ def capture_session(
     kind = read_toml_tables(plan_file).get("kind", "paint")
     if kind not in ("paint", "camera"):
         raise CaptureError(
-            f"{plan_file}: plans of kind {kind!r} need a person at the rig; run this plan with 'finray capture'"
+            f"{plan_file}: plans of kind {kind!r} need a person at the rig, so they cannot be run from Python; run "
+            "this plan with 'finray capture'"
         )
     settings = read_toml(rig_file, RigFile)
     if not settings.is_simulated:
@@ -246,7 +251,7 @@ def reduce_session(
         return _reduced(folder, camera, accept_repeat, None)[0]
     if camera is not None or accept_repeat:
         raise RadiometryError(
-            f"{folder}: is a camera session; camera and accept_repeat are for paint sessions only, leave them out"
+            f"{folder}: is a camera session, but camera and accept_repeat are only for paint sessions; leave them out"
         )
     captured = read_camera_session(folder)
     with naming(RadiometryError, folder):
@@ -273,7 +278,7 @@ def reduce_pixels(
     require_truths(whole_frame=whole_frame, accept_repeat=accept_repeat)
     pixels = _reduced(given_path(session, "session"), camera, accept_repeat, whole_frame)[1]
     if pixels is None:
-        raise RadiometryError(f"{session}: gave no signals of pixels, which is a fault of finray; report it")
+        raise RadiometryError(f"{session}: no pixel signals were computed, which is a bug in finray; report it")
     return pixels
 
 

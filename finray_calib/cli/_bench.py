@@ -53,17 +53,22 @@ def add_bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     jobs = parser.add_subparsers(dest="job", metavar="JOB", title="jobs", required=True)
     tactile = jobs.add_parser("tactile", help=BENCH_HELP, description=TACTILE_DESCRIPTION)
     tactile.add_argument(
-        "captures", type=Path, metavar="CAPTURES", help="folder of NAME.capture.json, or a zip archive of it"
+        "captures",
+        type=Path,
+        metavar="CAPTURES",
+        help="folder of captures (NAME.capture.json), or a zip archive of it",
     )
-    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the results; needs --command")
+    tactile.add_argument("--simulator", metavar="NAME", help="name of your simulator in the results (needs --command)")
     tactile.add_argument(
         "--command", dest="simulator_command", metavar="WORDS",
-        help="command that runs your simulator, as one string; without it, only the rows of finray are scored",
+        help="command that runs your simulator, as one string (default: none, so that only finray's own rows are "
+             "scored)",
     )  # fmt: skip
     tactile.add_argument("--teach", type=int, default=MOST_TEACHING, metavar="N", help="training presses (default: 6)")
     tactile.add_argument(
         "--elastic-gel", action="store_true",
-        help="also fit our physical model of a gel to the training presses (balls with circles)",
+        help="also fit finray's physical model of a gel to the training presses (which must be presses of a ball, "
+             "with contact circles)",
     )  # fmt: skip
     tactile.add_argument(
         "--limit-s", type=float, default=3600.0, metavar="S", help="time limit of the command in s (default: 3600)"
@@ -81,11 +86,12 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
 
     if (arguments.simulator_command is None) != (arguments.simulator is None):
         raise CompareError(
-            "--simulator NAME and --command WORDS go together; give both, or neither for the table alone"
+            "--simulator NAME and --command WORDS must be given together; give both, or neither to score only "
+            "finray's own rows"
         )
     if arguments.simulator in (TABLE, BLANK, GEL):
         raise CompareError(
-            f"--simulator {arguments.simulator!r} is the name of one of finray's own rows; give your "
+            f"--simulator {arguments.simulator!r} is already the name of one of finray's own rows; give your "
             "simulator another name"
         )
     folder, captures = _captures(arguments.captures)
@@ -158,8 +164,8 @@ def _captures(place: Path) -> "tuple[Path, dict[str, TactileCapture]]":
     known = {n: c for n, c in read.items() if c.contact_circle is not None or c.contact_outline is not None}
     if len(known) < 2:
         raise CompareError(
-            f"{place}: holds {len(known)} captures that state where their contact is; at least 2 are needed: import a "
-            "set with 'finray import captures'"
+            f"{place}: only {len(known)} captures state where the contact is, but at least 2 are needed; import a set "
+            "with 'finray import captures'"
         )
     return folder, known
 
@@ -174,15 +180,15 @@ def _split(captures: "Mapping[str, TactileCapture]", count: int) -> tuple[list[s
     most = min(MOST_TEACHING, len(names) - 1)
     if not 1 <= count <= most:
         raise CompareError(
-            f"--teach {count}: must be 1 to {most}: there are {len(names)} presses, and the simulator is judged on "
-            "those that are not used for training"
+            f"--teach {count}: must be 1 to {most} for {len(names)} presses; the simulator is judged on the presses "
+            "that are not used for training"
         )
     taught = [names[i] for i in spread_over(len(names), count)]
     seen = {contact_sha256(captures[name]) for name in taught}
     judged = [name for name in names if contact_sha256(captures[name]) not in seen]
     if not judged:
         raise CompareError(
-            "no press is left to judge the simulator on: every contact image is one of those used for training; give "
+            "no press is left to judge the simulator on, because every contact image is also used for training; give "
             "a set with more presses, or a smaller --teach"
         )
     return taught, judged
@@ -215,8 +221,8 @@ def _presses(
     unasked = sorted({inner.name for inner in renders.iterdir() if inner.is_dir()} - set(judged))
     if unasked:
         raise CompareError(
-            f"{renders}: holds {unasked[0]}, which is not one of the judged presses; render only the "
-            f"presses in {protocol / 'judge'}"
+            f"{renders}: contains {unasked[0]}, which is not a judged press; render only the presses in "
+            f"{protocol / 'judge'}"
         )
     rendered = read_renders(renders, {name: captures[name] for name in judged})
     missing = sorted(set(judged) - rendered.keys())
@@ -277,7 +283,7 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
             f"--command: {words[0] if words else 'nothing'} cannot be run ({error}); correct the program's name"
         ) from None
     if done.returncode:
-        raise CompareError(f"--command: ended with status {done.returncode}; its own output, above, gives the reason")
+        raise CompareError(f"--command: failed with exit status {done.returncode}; see its output above for the reason")
     return time.monotonic() - start
 
 

@@ -59,13 +59,21 @@ def add_capture(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("plan", type=Path, nargs="?", metavar="PLAN", help="plan file (TOML): kind, name, region")
     parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): camera, wheel, lights")
     parser.add_argument(
-        "--resume", type=Path, metavar="SESSION", help="continue an interrupted session; takes no PLAN and no --rig"
+        "--resume",
+        type=Path,
+        metavar="SESSION",
+        help="continue an interrupted session (without PLAN, --rig and --out)",
     )
     parser.add_argument(
-        "--dry-run", action="store_true", help="open the rig, check the plan, print time and disk space; nothing moves"
+        "--dry-run",
+        action="store_true",
+        help="open the rig, check the plan and print time and disk space, without moving anything",
     )
     parser.add_argument(
-        "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
+        "--like",
+        type=Path,
+        metavar="SESSION",
+        help="earlier session on this rig whose white frames the new white frames must resemble",
     )
     add_out(parser, "NAME-session/")
     parser.set_defaults(run=run_capture, attend=at_the_terminal)
@@ -77,16 +85,20 @@ def run_capture(arguments: argparse.Namespace) -> None:
 
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
-            raise CaptureError("--resume takes plan, rig and folder from the session; leave out PLAN, --rig and --out")
+            raise CaptureError(
+                "--resume takes plan, rig and folder from the session, so they cannot be given again; "
+                "leave out PLAN, --rig and --out"
+            )
         if arguments.dry_run:
             raise CaptureError(
-                "--resume continues a session, and --dry-run describes one that has not begun; give only one of them"
+                "--resume and --dry-run cannot be combined, because --dry-run describes a session that has not "
+                "begun; give only one of them"
             )
         with interruptible(arguments.resume):
             resume(arguments.resume, arguments.like, at_the_terminal)
         return
     if arguments.plan is None or arguments.rig is None:
-        raise CaptureError("give a PLAN and its --rig, or --resume with the folder of an interrupted session")
+        raise CaptureError("PLAN or --rig is missing; give both, or --resume with the folder of an interrupted session")
     capture(arguments)
 
 
@@ -105,7 +117,7 @@ def plan_kind(path: Path, known: tuple[str, ...]) -> str:
     except RecordError:
         return known[0]
     if kind not in known:
-        raise RecordError(f"{path}: 'kind' is {kind!r}; it must be one of {', '.join(map(repr, known))}")
+        raise RecordError(f"{path}: 'kind' must be one of {', '.join(map(repr, known))}, but is {kind!r}")
     return str(kind)
 
 
@@ -123,7 +135,7 @@ def capture_tactile(arguments: argparse.Namespace) -> None:
     )
 
     if arguments.like is not None:
-        raise CaptureError("--like is for plans of kind 'paint'; leave it out")
+        raise CaptureError("--like is supported only for plans of kind 'paint'; leave it out")
     plan, rig = read_toml(arguments.plan, TactilePlan), read_toml(arguments.rig, TactileRig)
     presses = planned_presses(plan, arguments.plan.parent)
     with naming(CaptureError, arguments.plan):
@@ -157,7 +169,7 @@ def _stated_presses(times: "StatedTimes", *, by_hand: bool) -> str:
     hands = " plus the time for what you do by hand" if by_hand else ""
     return (
         f"this takes about {times.typical_s / 60:.1f} min{hands}, and at most {times.longest_s / 60:.0f} min{hands}. "
-        f"Recovery from faults may add up to {times.healing_s / 60:.0f} min; after that the session ends; it can be "
+        f"Recovery from faults may add up to {times.healing_s / 60:.0f} min; after that, the session ends and can be "
         "resumed"
     )
 
@@ -250,8 +262,8 @@ def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
     """Return how long a session takes at the most, as it is told before it begins."""
     return (
         f"this takes about {typical_s / 60:.0f} min ({longest_s / 60:.0f} min if every exposure has to be the longest "
-        f"that the rig file allows). Recovery from faults may add up to {healing_s / 60:.0f} min; after that the "
-        "session ends; it can be resumed"
+        f"that the rig file allows). Recovery from faults may add up to {healing_s / 60:.0f} min; after that, the "
+        "session ends and can be resumed"
     )
 
 
@@ -290,7 +302,7 @@ def capture_camera(arguments: argparse.Namespace) -> None:
     from rigs.capture import camera_step, camera_times, capture_camera_session
 
     if arguments.dry_run or arguments.like is not None:
-        raise CaptureError("--dry-run and --like are for plans of kind 'paint'; leave them out")
+        raise CaptureError("--dry-run and --like are supported only for plans of kind 'paint'; leave them out")
     plan, rig = read_toml(arguments.plan, CameraPlan), read_toml(arguments.rig, RigFile)
     out = require_new_session(arguments.out or Path(f"{file_name(plan.camera_name)}-session"))
     sources = input_digests([arguments.plan, arguments.rig])
@@ -326,12 +338,15 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     tactile = is_tactile(folder)
     interrupted = None if tactile else read_interrupted(folder)
     if like is not None and (interrupted is None or interrupted.kind != "paint"):
-        raise CaptureError("--like is for sessions of kind 'paint'; leave it out")
+        raise CaptureError("--like is supported only for sessions of kind 'paint'; leave it out")
     if interrupted is None:
         resume_tactile(folder, attend)
         return
     if interrupted.kind not in ("paint", "camera"):
-        raise CaptureError(f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; capture it again")
+        raise CaptureError(
+            f"{folder}: sessions of kind '{interrupted.kind}' cannot be resumed; start the session "
+            "again from the beginning"
+        )
     say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
     if interrupted.doubt:
         say("  all steps are metered again, because a frame differed from its metering in brightness or colour;")

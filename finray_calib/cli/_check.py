@@ -181,7 +181,7 @@ def add_gauge_rr(acts: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         choices=QUANTITIES,
         default="mode_nm",
         metavar="QUANTITY",
-        help=f"quantity of the calibrations: {', '.join(QUANTITIES)} (default: mode_nm)",
+        help=f"quantity of the calibrations to study: {', '.join(QUANTITIES)} (default: mode_nm)",
     )
     parser.set_defaults(run=run_gauge_rr)
 
@@ -207,14 +207,14 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:
         raise RecordError(
-            f"{path}: the columns of the header are {', '.join(columns) or 'missing'}; needed are sample, session, and "
-            "paint or value (mount is optional)"
+            f"{path}: the header must name the columns sample, session, and paint or value (mount is optional), but "
+            f"its columns are {', '.join(columns) or 'missing'}"
         )
     found = []
     for line, cells in rows:
         row = dict(zip(columns, cells, strict=False))
         if any(not row.get(name) for name in ("sample", "session", value)):
-            raise RecordError(f"{path}: line {line}: give sample, session and {value}")
+            raise RecordError(f"{path}, line {line}: an entry is missing; give sample, session and {value}")
         if value == "paint":
             number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
         else:
@@ -280,7 +280,7 @@ def add_equivalence(acts: "argparse._SubParsersAction[argparse.ArgumentParser]")
         )
     parser.add_argument(
         "--margin", action="append", required=True, type=_margin, metavar="QUANTITY=VALUE",
-        help="largest difference that is allowed; one option for each quantity",
+        help="largest allowed difference of a quantity (give the option once for each quantity)",
     )  # fmt: skip
     parser.set_defaults(run=run_equivalence)
 
@@ -307,7 +307,7 @@ def _require_different(paths: list[Path]) -> None:
     first: dict[str, Path] = {}
     for path in paths:
         if (other := first.setdefault(digest_of_input(path), path)) is not path:
-            raise FinrayError(f"{other} and {path}: are the same calibration; give one calibration for each coat")
+            raise FinrayError(f"{other} and {path} are the same calibration; give one calibration for each coat")
 
 
 def run_equivalence(arguments: argparse.Namespace) -> int:
@@ -318,7 +318,7 @@ def run_equivalence(arguments: argparse.Namespace) -> int:
 
     margins = dict(arguments.margin)
     if len(margins) < len(arguments.margin):
-        raise FinrayError("--margin: a quantity is given twice; give each once")
+        raise FinrayError("--margin: a quantity is given twice; give each quantity once")
     tins = [[read_record(path, PaintCalibration) for path in paths] for paths in (arguments.first, arguments.second)]
     _require_different([*arguments.first, *arguments.second])
     found = tins_are_equivalent(tins[0], tins[1], margins)
@@ -358,19 +358,23 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )  # fmt: skip
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
     parser.add_argument(
-        "--reference", type=int, default=10, metavar="N", help="number of first sessions that are the reference (10)"
+        "--reference",
+        type=int,
+        default=10,
+        metavar="N",
+        help="number of sessions, counted from the first, that serve as the reference (default: 10)",
     )
     parser.add_argument(
         "--false-alarms",
         type=float,
         default=0.01,
         metavar="SHARE",
-        help="share of good sessions that give an alarm (0.01)",
+        help="share of good sessions that may give an alarm (default: 0.01)",
     )
     parser.add_argument(
         "--cleared",
         metavar="SESSION",
-        help="session up to which you know the cause of every alarm: the charts start again after it",
+        help="last session up to which you know the cause of every alarm; the charts start again after this session",
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="write the charts as a page (HTML); must be new")
     parser.set_defaults(run=run_history)
@@ -495,11 +499,15 @@ def add_certificate(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]"
     parser.add_argument("paint", type=Path, metavar="PAINT", help="paint calibration (.json)")
     parser.add_argument("--laboratory", type=Path, metavar="FILE", help="what the laboratory adds (TOML)")
     parser.add_argument(
-        "--budget", type=Path, metavar="BANDS", help="band signals of the paint, for a budget by source"
+        "--budget",
+        type=Path,
+        metavar="BANDS",
+        help="band signals of the paint, to add an uncertainty budget by source",
     )
     parser.add_argument(
         "--out", type=Path, metavar="PATH",
-        help="page to write (default: PAINT.certificate.html); the PDF is written beside it; both must be new",
+        help="page to write (default: PAINT.certificate.html); the PDF goes into the same folder, and both files "
+             "must be new",
     )  # fmt: skip
     parser.set_defaults(run=run_certificate)
 
@@ -564,9 +572,8 @@ def _found(path: Path) -> "tuple[CaptureSession | None, bool | None, str]":
     faults = findings(tree)
     if changed := [fault for fault in faults if fault.state != "missing"]:
         raise FinrayError(
-            f"{changed[0].path}: {changed[0].text}; a certificate needs files that are unchanged since they were "
-            f"written: see "
-            f"'finray trace {path}'"
+            f"{changed[0].path}: {changed[0].text}; a certificate needs files that have not changed since they were "
+            f"written. Run 'finray trace {path}' to see all changes"
         )
     for fault in faults:
         warn(f"note: {fault.path}: {fault.text}")

@@ -39,15 +39,15 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser = verbs.add_parser("compare", help=HELP, description=DESCRIPTION)
     parser.add_argument(
         "records", type=Path, nargs="*", metavar="SIMULATED ... CAPTURE",
-        help="record of a simulated press and of a tactile capture; or folders of simulated presses, one for each "
-            "simulator, and last the folder of captures; a folder may be a zip archive",
+        help="either two records (a simulated press, then a tactile capture), or one folder of simulated presses for "
+             "each simulator, followed by the folder of captures; folders may be zip archives",
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=Path, metavar="CSV",
-        help="pairs to compare: columns simulated, captured (files, relative to the CSV), and optionally name, "
-             "simulator, press (repeats of one press share it), session, sensor",
+        help="table of pairs to compare, with the columns simulated and captured (files, relative to the CSV) and "
+             "optionally name, simulator, press (the same for repeats of one press), session and sensor",
     )  # fmt: skip
-    parser.add_argument("--register", action="store_true", help="move the render by the drift of the camera")
+    parser.add_argument("--register", action="store_true", help="shift the render by the measured drift of the camera")
     parser.add_argument(
         "--despite-mismatch",
         action="store_true",
@@ -55,20 +55,21 @@ def add_compare(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )
     parser.add_argument(
         "--relative", action="store_true",
-        help="judge only the change by contact: the captured image without contact replaces that of the render "
-             "(needs linear values)",
+        help="compare only the change caused by contact; the captured image without contact then replaces the "
+             "rendered one (needs linear values)",
     )  # fmt: skip
     parser.add_argument(
         "--normal-map", type=Path, metavar="FILE",
-        help="also compare normals and depth, by the map that 'finray sense teach' wrote",
+        help="also compare normals and depth, with the normal map that 'finray sense teach' wrote",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=Path, metavar="FILE",
-        help="also give the sizes of contact patch and dilated patch in mm, by the scale of 'finray sense scale'",
+        help="also give the sizes of contact patch and dilated patch in mm, with the scale that 'finray sense scale' "
+             "measured",
     )  # fmt: skip
     parser.add_argument(
         "--metric", action="append", default=[], metavar="NAME",
-        help="also compute a metric from an installed package, for a single pair (repeatable)",
+        help="also compute this metric of an installed package (repeatable; for a single pair only)",
     )  # fmt: skip
     add_force(parser)
     add_out(parser, "photometric-error.json, with --force force-comparison.json; with folders photometric-errors")
@@ -87,11 +88,11 @@ def run(arguments: argparse.Namespace) -> None:
     refuse_force_options(arguments)
     records: list[Path] = arguments.records
     if (arguments.pairs is None) == (not records):
-        raise CompareError("give SIMULATED and CAPTURE, or --pairs CSV: one of the two")
+        raise CompareError("either SIMULATED and CAPTURE or --pairs CSV must be given, but not both")
     if len(records) == 1:
         raise CompareError(
-            f"{records[0]}: the CAPTURE to compare it with is missing; add a record if SIMULATED is a record, or a "
-            f"folder if SIMULATED is a folder"
+            f"{records[0]}: CAPTURE, the record or folder to compare with, is missing; add a record if SIMULATED is a "
+            "record, or a folder if SIMULATED is a folder"
         )
     inside = [folder_at(path, CompareError) for path in records]
     folders = [folder is not None for folder in inside]
@@ -113,7 +114,9 @@ def run(arguments: argparse.Namespace) -> None:
         arguments.simulated, arguments.capture = records[:-1], records[-1]
     if arguments.pairs is not None or folders[0]:
         if arguments.metric:
-            raise CompareError("--metric takes one press and one capture, not folders or --pairs; leave it out")
+            raise CompareError(
+                "--metric works only for one press and one capture, not for folders or --pairs; leave it out"
+            )
         compare_folders(arguments)
     else:
         _compare_one(arguments.simulated[0], arguments)
@@ -164,18 +167,19 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     """Add the options of a comparison of forces."""
     parser.add_argument(
         "--force", type=Path, metavar="CSV",
-        help="compare the force of SIMULATED (NAME.mechanics.json) with a measured one: columns displacement_mm and "
-        "force_n, if known force_uncertainty_n and displacement_uncertainty_mm",
+        help="measured force curve to compare with the force of SIMULATED (NAME.mechanics.json), with the columns "
+             "displacement_mm and force_n and, if known, force_uncertainty_n and displacement_uncertainty_mm",
     )  # fmt: skip
     parser.add_argument(
         "--known-first-touch", action="store_true",
-        help="with --force: the measured displacements count from first touch, so where first touch is must not be "
-        "fitted",
+        help="take the measured displacements as counted from first touch, instead of fitting where first touch is "
+             "(with --force only)",
     )  # fmt: skip
     parser.add_argument(
         "--other-mesh", type=Path, metavar="FILE",
-        help="with --force: the same press on another mesh; the difference between the two presses is taken as the "
-            "uncertainty of the mesh where it is larger than the known error of the 70 x 35 finger's mesh",
+        help="record of the same press on another mesh (with --force only); the difference between the two presses "
+             "is used as the uncertainty of the mesh where it is larger than the known error of the 70 x 35 finger's "
+             "mesh",
     )  # fmt: skip
 
 
@@ -186,13 +190,14 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
     records: list[Path] = arguments.records
     if len(records) != 1 or arguments.pairs is not None:
         raise CompareError(
-            "--force compares one record with a CSV: give NAME.mechanics.json alone, without CAPTURE and --pairs"
+            "--force compares exactly one record with a CSV file; give only NAME.mechanics.json, without CAPTURE and "
+            "--pairs"
         )
     of_images = (arguments.register, arguments.despite_mismatch, arguments.relative, arguments.metric)
     if any(of_images) or arguments.normal_map is not None:
         raise CompareError(
-            "--force: --register, --despite-mismatch, --relative, --normal-map and --metric belong to images; leave "
-            "them out"
+            "--force compares no images, so it cannot be combined with --register, --despite-mismatch, --relative, "
+            "--normal-map or --metric; leave them out"
         )
 
     import numpy as np
@@ -228,4 +233,6 @@ def refuse_force_options(arguments: argparse.Namespace) -> None:
     from data_schemas import CompareError
 
     if arguments.known_first_touch or arguments.other_mesh is not None:
-        raise CompareError("--known-first-touch and --other-mesh belong to --force CSV; add --force, or leave them out")
+        raise CompareError(
+            "--known-first-touch and --other-mesh work only with --force CSV; add --force, or leave them out"
+        )

@@ -104,7 +104,7 @@ def compare_folders(arguments: argparse.Namespace) -> None:
          relative=batch.relative)  # fmt: skip
     suggest_file(out / PAGE)
     if not succeeded:
-        raise CompareError(f"none of the {len(jobs)} pairs could be compared; {out / TABLE} says why")
+        raise CompareError(f"none of the {len(jobs)} pairs could be compared; see the reasons in {out / TABLE}")
 
 
 def _batch(compared: "Sequence[ComparedPair]", work: "_Work", notes: list[str]) -> "ComparisonBatch":
@@ -292,8 +292,8 @@ class _Workers:
         count = min(_cores(), len(jobs) // _LEAST_PAIRS_EACH, _MOST_WORKERS)
         if count > 1 and (room := _processes_in_memory(jobs)) < count:
             warn(
-                f"the free memory allows {room} of {count} processes for pictures of this size, so the "
-                "comparison takes longer. End other programs, or compare fewer pairs at once"
+                f"the free memory is enough for only {room} of {count} processes with pictures of this size, so the "
+                "comparison takes longer. Close other programs, or compare fewer pairs at once"
             )
             count = room
         self._children = [
@@ -403,8 +403,8 @@ def _of_worker(error: BaseException, jobs: Sequence["_Job"]) -> BaseException:
     if not isinstance(error, ProcessDiedError):
         return error
     return ProcessDiedError(
-        f"the process that compared {', '.join(job.name for job in jobs)} {error}. Reports already written "
-        "are complete; run the same command again for the others"
+        f"the process that compared {', '.join(job.name for job in jobs)} {error}. Reports that are already written "
+        "are complete; run the same command again to compare the other pairs"
     )
 
 
@@ -545,8 +545,8 @@ def _stored_report(path: Path, origin: "Provenance") -> "PhotometricErrorReport"
     time = {"created_utc": origin.created_utc}
     if report.provenance is None or report.provenance.model_copy(update=time) != origin:
         raise RecordError(
-            f"{path}: exists already, from another command, another version or other files; choose another --out or "
-            f"move it away"
+            f"{path}: exists already, but was made by another command, by another version or from other files; choose "
+            "another --out or move it away"
         )
     return report
 

@@ -36,18 +36,18 @@ def add_decide(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     )  # fmt: skip
     parser.add_argument(
         "--weights", type=_weights, metavar="W,W,...",
-        help="how often each touch occurs, in the order of the sweeps (default: all equally), e.g. from a log of "
-             "grasps",
+        help="relative frequency of each touch, in the order of the sweeps, e.g. from a log of grasps (default: all "
+             "equal)",
     )  # fmt: skip
     parser.add_argument(
         "--criterion", choices=["average", "worst"], default="average",
-        help="least loss on average over the touches (default), or at the worst touch",
+        help="what to minimise: the average loss over the touches, or the loss at the worst touch (default: average)",
     )  # fmt: skip
     parser.add_argument(
         "--aim", choices=["brightness", "normal"],
-        help="decide on the brightness of the touches, or on the expected error of the sensed normal, which needs "
-             "sweeps made with --objectives all (default: normal for such sweeps without reports and weights, else "
-             "brightness)",
+        help="quantity to decide by: the brightness of the touches, or the expected error of the sensed normal, "
+             "which needs sweeps made with --objectives all (default: normal for such sweeps if neither reports nor "
+             "weights are given, otherwise brightness)",
     )  # fmt: skip
     parser.add_argument(
         "--photometric-error", type=Path, action="append", default=[], metavar="REPORT", dest="reports",

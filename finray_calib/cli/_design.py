@@ -107,7 +107,7 @@ def add_design(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     """Register the verb."""
     parser = verbs.add_parser("design", help=HELP, description=DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    names = actions.add_parser("list", help="the ready-made fingers and classic sensors")
+    names = actions.add_parser("list", help="list the ready-made fingers and classic sensors")
     names.set_defaults(run=run_list)
     _add_init(actions)
     _add_show(actions)
@@ -131,14 +131,14 @@ def _add_init(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
         nargs="?",
         default="flat-70x35",
         metavar="PRESET",
-        help="default: flat-70x35; 'finray design list' lists them",
+        help="preset to write, as 'finray design list' lists them (default: flat-70x35)",
     )
     init.add_argument("--out", type=Path, metavar="TOML", help="default: PRESET.toml; must be new")
     init.set_defaults(run=run_init)
 
 
 def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    show = actions.add_parser("show", help="drawing, the camera's view of the pad", description=SHOW_DESCRIPTION)
+    show = actions.add_parser("show", help="draw a design and its camera's view", description=SHOW_DESCRIPTION)
     show.add_argument("design", type=Path, metavar="DESIGN", help="design (TOML), or the name of a preset")
     add_engine(show)
     show.add_argument(
@@ -150,13 +150,13 @@ def _add_show(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
 def _add_export(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     export = actions.add_parser(
         "export",
-        help="files to print skeleton, base plate, backing and the pad's mould (STL, STEP)",
+        help="write files to print skeleton, base plate, backing and the pad's mould (STL, STEP)",
         description=EXPORT_DESCRIPTION,
     )
     export.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     export.add_argument("--out", type=Path, metavar="FOLDER", help="default: NAME.print; must be new")
     export.add_argument("--format", choices=["stl", "step", "both"], default="both", help="default: both")
-    export.add_argument("--one-piece", action="store_true", help="skeleton and base plate as one body")
+    export.add_argument("--one-piece", action="store_true", help="write skeleton and base plate as one body")
     export.add_argument(
         "--lining-mm",
         type=float,
@@ -171,7 +171,7 @@ def _add_paints(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
     paints.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
     paints.add_argument(
         "--paint", type=Path, action="append", required=True, metavar="FILE",
-        help="paint calibration, written by 'finray fit'; at least two",
+        help="paint calibration written by 'finray fit' (give at least two)",
     )  # fmt: skip
     add_engine(paints, is_scalar_enough=False)
     paints.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.paint-choice.json; must be new")
@@ -182,7 +182,7 @@ def _add_paints(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") 
 def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     filters = actions.add_parser(
         "filters",
-        help="the best emission filters of a rig, or the best next one for a paint",
+        help="find the best emission filters of a rig, or the best next filter for a paint",
         description=FILTERS_DESCRIPTION,
     )
     filters.add_argument("source", type=Path, metavar="RIG_OR_PAINT", help="rig file (.toml) or fitted paint (.json)")
@@ -192,10 +192,10 @@ def _add_filters(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     filters.add_argument(
         "--keep", type=float, action="append", default=[], metavar="CENTRE",
-        help="centre of a filter of the rig that stays, nm (repeatable)",
+        help="centre in nm of a filter of the rig to keep (repeatable)",
     )  # fmt: skip
     filters.add_argument(
-        "--paints", type=int, default=40, metavar="N", help="simulated paints that are fitted (default: 40; 0: none)"
+        "--paints", type=int, default=40, metavar="N", help="simulated paints to fit (default: 40; 0 for none)"
     )
     add_seed(filters)
     filters.set_defaults(run=run_filters)
@@ -226,9 +226,7 @@ def _rank_next(arguments: argparse.Namespace, catalogue: "tuple[CatalogueFilter,
     from finray_calib.fit import next_filters
 
     if arguments.number is not None or arguments.keep:
-        raise FitError(
-            "--number, --keep: are for a rig (TOML) only; leave them out for a paint (JSON), which ranks single filters"
-        )
+        raise FitError("--number and --keep are only for a rig (TOML), not for a paint (JSON); leave them out")
     paint = read_record(arguments.source, PaintCalibration)
     ranked = next_filters(paint, catalogue)
     give(paint_name=paint.paint_name, next_filters=ranked)
@@ -316,7 +314,7 @@ def run_init(arguments: argparse.Namespace) -> None:
     name = arguments.preset
     if name not in PRESETS and name not in SENSORS:
         known = ", ".join([*PRESETS, *SENSORS])
-        raise SimulateError(f"there is no preset design '{name}'; there are {known}")
+        raise SimulateError(f"there is no preset design '{name}'; valid names are {known}")
     text = sensor_toml(preset_sensor(name)) if name in SENSORS else design_toml(preset_design(name))
     out = require_new(arguments.out or Path(f"{name}.toml"), ".toml")
     write_bytes(out, text.encode())
@@ -455,7 +453,7 @@ def _calibrations(files: "Sequence[Path]") -> "dict[str, PaintCalibration]":
     from data_schemas.storage import read_record
 
     if len({file.resolve() for file in files}) < max(len(files), 2):
-        raise SimulateError("--paint: a finger carries two paints; give at least two files, each of them once")
+        raise SimulateError("--paint: must name at least two files, each once, because a finger carries two paints")
     read = [read_record(file, PaintCalibration) for file in files]
     names = [paint.paint_name for paint in read]
     return {
@@ -510,19 +508,19 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     lights.add_argument("design", type=Path, metavar="DESIGN", help="finger or sensor (TOML), or the name of a preset")
     lights.add_argument(
         "--range", dest="power_range", type=_power_range, default=(0.25, 4.0), metavar="LOW:HIGH",
-        help="limits of each power, as factors of its present value (default: 0.25:4)",
+        help="limits of each power, as factors of the present power (default: 0.25:4)",
     )  # fmt: skip
     lights.add_argument(
         "--total", type=float, default=1.0, metavar="FACTOR",
-        help="upper limit for the light of all lights together, as a factor of the present one (default: 1)",
+        help="upper limit of the total light of all lights, as a factor of the present total (default: 1)",
     )  # fmt: skip
     lights.add_argument(
         "--map", dest="axes", action="append", default=[], metavar="FIELD=LOW:HIGH:STEP",
-        help="a number of the finger and its values; give it twice, for a map over two numbers",
+        help="a number of the finger and its values, for a map over two numbers (give the option exactly twice)",
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=path_count, metavar="N",
-        help="light paths in a batch, an even number: per point of a finger (default: 512), per pixel of a sensor (32)",
+        help="even number of light paths: per point of a finger (default: 512) or pixel of a sensor (default: 32)",
     )  # fmt: skip
     add_paint(lights)
     add_paints_as_given(lights)
@@ -566,7 +564,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     design, files, folder = _finger_or_sensor(arguments.design)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.light-powers.json"), ".json")
     if len(arguments.axes) not in (0, 2) or (arguments.axes and isinstance(design, PlainSensor)):
-        raise SimulateError("--map: needs two numbers of a finger; give --map once for each of them, or leave it out")
+        raise SimulateError("--map needs a finger and two of its numbers; give --map twice, or leave it out")
     lights, share = powered_lights(design)
     low, high = (np.full(len(lights), limit) for limit in arguments.power_range)
     with naming(FinrayError, arguments.design), progress_bar(f"lights of {design.name}") as progress:
@@ -629,7 +627,7 @@ def _sensor_lights(
     from sim.experiments import ClassicLayers, render_each_light
 
     if arguments.paint:
-        raise SimulateError("--paint: a classic sensor carries no fluorescent paint; leave it out")
+        raise SimulateError("--paint: a classic sensor carries no fluorescent paint; leave --paint out")
     scene = ClassicLayers(
         sensor, open_engine(arguments.engine), folder, arguments.seed, samples=arguments.samples or 32
     )

@@ -134,15 +134,15 @@ def add_assess(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     """Register ``finray design assess``."""
     assess = actions.add_parser("assess", help=ASSESS_HELP, description=ASSESS_DESCRIPTION, epilog=ASSESS_EPILOG)
     assess.add_argument("design", type=Path, metavar="FINGER", help="finger design (TOML), or the name of a preset")
-    assess.add_argument("--pad", type=_pad_size, metavar="LENGTHxWIDTH", help="another size of the pad, mm, such as "
-                        "60x30")  # fmt: skip
+    assess.add_argument("--pad", type=_pad_size, metavar="LENGTHxWIDTH", help="pad size in mm, in place of "
+                        "the design's, such as 60x30")  # fmt: skip
     add_paint(assess)
     add_paints_as_given(assess)
     assess.add_argument(
         "--quick",
         action="store_true",
-        help="fewer light paths and fingers with drawn tolerances, and no "
-        "change of the assumed dimensions: a first result",
+        help="give a first result, from fewer light paths and fingers with drawn tolerances, with the assumed "
+        "dimensions unchanged",
     )
     add_engine(assess, is_scalar_enough=False)
     assess.add_argument("--out", type=Path, metavar="DIR", help="default: NAME.assessed")
@@ -173,15 +173,15 @@ def add_optimise(actions: "argparse._SubParsersAction[argparse.ArgumentParser]")
                         help="a further objective (repeatable)")  # fmt: skip
     search.add_argument(
         "--within", action="append", default=[], metavar="FIELD[=LOW:HIGH]",
-        help="a number that may change, and its limits (repeatable; default: light angle and place, pad "
-            "thickness, and ribs and fin if stiffness is an objective)",
+        help="number of the design to vary, and its limits (repeatable; default: light angle and place, pad "
+             "thickness, and ribs and fin if stiffness is an objective)",
     )  # fmt: skip
     search.add_argument("--evaluations", type=whole_number(1, _MOST_EVALUATIONS), default=60, metavar="N",
                         help="designs to compute (default: 60)")  # fmt: skip
     search.add_argument("--screen", type=whole_number(1, _MOST_EVALUATIONS), metavar="N",
                         help="evaluations that screen the limits, without the emulator (default: a third)")  # fmt: skip
     search.add_argument("--confirm", type=_confirmation_count, default=6, metavar="N",
-                        help="new seeds and contact places that confirm the gain (default: 6; 0: none)")  # fmt: skip
+                        help="new seeds and contact places to confirm the gain (default: 6; 0 for none)")  # fmt: skip
     add_paint(search)
     add_paints_as_given(search)
     add_engine(search, is_scalar_enough=False)
@@ -218,7 +218,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
     parameters = tuple(design_parameter(design, text) for text in arguments.within)
     parameters = parameters or default_parameters(design, objectives)
     if len({one.field for one in parameters}) < len(parameters):
-        raise SimulateError("--within: a field is given twice; give each once")
+        raise SimulateError("--within: a field is given twice; give each field once")
     out = require_folder(arguments.out or Path(f"{file_name(design.name)}.optimised"))
     light: LightMeasure | None = None
     paints: list[Path] = []
@@ -253,7 +253,7 @@ def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
 
     for name in names:
         if name not in OBJECTIVES:
-            raise SimulateError(f"--for, --and: there is no objective '{name}'; there are {', '.join(OBJECTIVES)}")
+            raise SimulateError(f"--for, --and: unknown objective '{name}'; valid names are {', '.join(OBJECTIVES)}")
         if names.count(name) > 1:
             raise SimulateError(f"--for, --and: '{name}' is given twice; give each objective once")
     return tuple(OBJECTIVES[name] for name in names)
@@ -334,19 +334,19 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     add_paint(tolerances)
     add_paints_as_given(tolerances)
     tolerances.add_argument("--vary", type=_half_range, action="append", default=[], metavar="FIELD=HALF_RANGE",
-        help="how far a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
+        help="amount by which a number varies to either side, such as light.angle_deg=2 (repeatable)")  # fmt: skip
     tolerances.add_argument(
         "--contact", type=float, action="append", default=[], metavar="MM", dest="places_mm",
         help="middle of a contact along the pad, mm (repeatable; default: six from a tenth to nine tenths of the pad)",
     )  # fmt: skip
     tolerances.add_argument("--allowed", type=float, default=0.1, metavar="SHARE",
-                            help="allowed growth of the error, as a share (default: 0.1)")  # fmt: skip
+                            help="largest allowed growth of the error, as a share (default: 0.1)")  # fmt: skip
     tolerances.add_argument("--calibration", choices=["own", "shared"], default="own", help="calibrate each finger as "
         "it was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
     tolerances.add_argument("--runs", type=int, default=128, metavar="N",
-                            help="fingers in which all numbers vary together (default: 128)")  # fmt: skip
+                            help="number of fingers in which all numbers vary together (default: 128)")  # fmt: skip
     tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
-                            help="paths per point and repeat (default: 1024, some 1 s a finger)")  # fmt: skip
+                            help="light paths per point and repeat (default: 1024, about 1 s a finger)")  # fmt: skip
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)
@@ -551,13 +551,13 @@ class _AssessedParts:
         stored = out / ASSESSED_FROM
         if (out / ASSESSMENT_PAGE).exists() or (out.exists() and any(out.iterdir()) and not stored.exists()):
             what = "a finished assessment" if stored.exists() else "something other than an assessment"
-            raise RecordError(f"{out}: holds {what}, which is not overwritten; choose another --out or move it away")
+            raise RecordError(f"{out}: contains {what}, which is not overwritten; choose another --out or move it away")
         if not stored.exists():
             write_bytes(stored, f"{key}\n".encode())
         elif read_text(stored, "the SHA-256 of an assessment's inputs").strip() != key:
             raise RecordError(
-                f"{out}: holds an unfinished assessment of another finger, pad, paint, seed, --engine, --quick or "
-                "--paints-as-given; give the command that began it, or another --out"
+                f"{out}: contains an unfinished assessment that was started with another finger, pad, paint, seed, "
+                "--engine, --quick or --paints-as-given; repeat the original command, or choose another --out"
             )
         elif kept := sum(1 for _ in out.glob("*.json")):
             say(f"{out}: continues; {kept} finished parts are kept")
@@ -583,8 +583,8 @@ class _AssessedParts:
         """Warn of parts that another version or commit computed."""
         other = "; ".join(f"{name} by {code}" for name, code in self._other_code.items())
         if other:
-            warn(f"parts computed by other code than this ({self._origin.code}) are kept: {other}. To compute them "
-                 "anew, give another --out")  # fmt: skip
+            warn(f"parts computed by other code than the present code ({self._origin.code}) are kept: {other}. To "
+                 "compute them again, choose another --out")  # fmt: skip
 
 
 def _swept(

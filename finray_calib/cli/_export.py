@@ -41,7 +41,7 @@ def add_deck_options(parser: argparse.ArgumentParser) -> None:
     deck.add_argument("--dialect", choices=DIALECTS, help="program that the deck is for")
     deck.add_argument("--preset", choices=PRESETS, help="fineness of the mesh (default: the design's)")
     deck.add_argument(
-        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default: {DEFAULT_INCREMENTS})"
     )
 
 
@@ -57,7 +57,9 @@ def refuse_deck_options(arguments: argparse.Namespace) -> None:
 
     given = [f"--{name}" for name in ("dialect", "preset", "increments") if getattr(arguments, name) is not None]
     if given:
-        raise RecordError(f"{' and '.join(given)}: belongs to a deck; write: finray export deck DESIGN {given[0]} ...")
+        raise RecordError(
+            f"{' and '.join(given)}: supported only for a deck; run 'finray export deck DESIGN {given[0]} ...'"
+        )
 
 
 def run_deck(arguments: argparse.Namespace) -> None:
@@ -83,12 +85,12 @@ def _one_design(arguments: argparse.Namespace) -> Path:
     from data_schemas import RecordError
 
     if arguments.dialect is None:
-        raise RecordError(f"a deck needs --dialect: one of {', '.join(DIALECTS)}")
+        raise RecordError(f"--dialect is missing, but a deck needs it; give one of {', '.join(DIALECTS)}")
     for name in ("format", "led", "camera_response"):
         if getattr(arguments, name) is not None:
-            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a deck")
+            raise RecordError(f"--{name.replace('_', '-')} is only for paints; leave it out for a deck")
     if len(arguments.paint) != 2:  # the word and the file
-        raise RecordError("a deck needs one design: finray export deck DESIGN.toml --dialect calculix")
+        raise RecordError("a deck needs exactly one design; run 'finray export deck DESIGN.toml --dialect calculix'")
     design: Path = arguments.paint[1]
     return design
 
@@ -104,13 +106,16 @@ def add_taxim_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a Taxim folder."""
     taxim = parser.add_argument_group("Taxim folders")
     taxim.add_argument(
-        "--presses", type=whole_number(1, 100_000), metavar="N", help=f"ball presses to render (default {PRESSES})"
+        "--presses",
+        type=whole_number(1, 100_000),
+        metavar="N",
+        help=f"number of ball presses to render (default: {PRESSES})",
     )
     taxim.add_argument(
         "--ball-diameter-mm",
         type=number_within("a number of mm", (0.0, 100.0), above=True),
         metavar="D",
-        help=f"diameter of the ball in mm (default {BALL_DIAMETER_MM:g})",
+        help=f"diameter of the ball in mm (default: {BALL_DIAMETER_MM:g})",
     )
     taxim.add_argument(
         "--samples", type=whole_number(1, 100_000), metavar="N", help=f"paths per pixel (default {SAMPLES})"
@@ -133,7 +138,7 @@ def refuse_taxim_options(arguments: argparse.Namespace) -> None:
     given += ["--paint"] if getattr(arguments, PAINTS) else []
     if given:
         raise RecordError(
-            f"{' and '.join(given)}: belongs to a Taxim folder: finray export taxim SENSOR {given[0]} ..."
+            f"{' and '.join(given)}: supported only for a Taxim folder; run 'finray export taxim SENSOR {given[0]} ...'"
         )
 
 
@@ -146,13 +151,13 @@ def run_taxim(arguments: argparse.Namespace) -> None:
     refuse_deck_options(arguments)
     for name in ("format", "led", "camera_response"):
         if getattr(arguments, name) is not None:
-            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for a Taxim folder")
+            raise RecordError(f"--{name.replace('_', '-')} is only for paints; leave it out for a Taxim folder")
     if len(arguments.paint) != 2:  # the word and the file
-        raise RecordError("a Taxim folder needs one sensor or finger: finray export taxim SENSOR.toml")
+        raise RecordError("a Taxim folder needs exactly one sensor or finger; run 'finray export taxim SENSOR.toml'")
     if arguments.presses is not None and arguments.presses < FEWEST_PRESSES:  # found before anything is rendered
         raise RecordError(
-            f"--presses {arguments.presses}: a shading table needs at least {FEWEST_PRESSES} presses; ask for more, or "
-            f"leave it out for {PRESSES}"
+            f"--presses {arguments.presses}: a shading table needs at least {FEWEST_PRESSES} presses; give more, or "
+            f"leave --presses out for {PRESSES}"
         )
     default = Path(f"{file_name(arguments.paint[1].stem)}.taxim")
     out = require_new(arguments.out or default)
@@ -193,9 +198,8 @@ def _refuse_finger(path: Path) -> None:
     except FinrayError:
         return
     raise RecordError(
-        f"{path}: is the design of a finger, '{design.name}', whose walls need paints: add "
-        "--paint red=PAINT.paint.json and --paint green=PAINT.paint.json; without paints a Taxim "
-        "folder is that of a classic sensor"
+        f"{path}: is the design of a finger, '{design.name}', but paints for its walls are missing; add --paint "
+        "red=PAINT.paint.json and --paint green=PAINT.paint.json, or give a classic sensor, which needs no paints"
     )
 
 
@@ -231,7 +235,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
 
     _refuse_options(arguments, "captures")
     if len(arguments.paint) != 2:  # the word and the folder
-        raise RecordError("captures need one folder: finray export captures FOLDER --out FILE.zip")
+        raise RecordError("captures need exactly one folder; run 'finray export captures FOLDER --out FILE.zip'")
     folder: Path = arguments.paint[1]
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.zip"))
     if out.suffix.lower() != ".zip":
@@ -262,7 +266,7 @@ def _refuse_options(arguments: argparse.Namespace, what: str) -> None:
     refuse_taxim_options(arguments)
     for name in ("format", "led", "camera_response"):
         if getattr(arguments, name) is not None:
-            raise RecordError(f"--{name.replace('_', '-')} belongs to a paint; leave it out for {what}")
+            raise RecordError(f"--{name.replace('_', '-')} is only for paints; leave it out for {what}")
 
 
 def run_capture_request(arguments: argparse.Namespace) -> None:
@@ -276,7 +280,7 @@ def run_capture_request(arguments: argparse.Namespace) -> None:
 
     _refuse_options(arguments, "a capture request")
     if len(arguments.paint) != 2:  # the word and the file
-        raise RecordError("a capture request needs one design: finray export capture-request DESIGN.toml")
+        raise RecordError("a capture request needs exactly one design; run 'finray export capture-request DESIGN.toml'")
     path: Path = arguments.paint[1]
     design = read_design(path)
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.request.md"))
@@ -311,7 +315,9 @@ def run_frames(arguments: argparse.Namespace) -> None:
     endings = FRAME_ENDINGS[word]
     _refuse_options(arguments, "the frames of a session")
     if len(arguments.paint) != 2:  # the word and the folder
-        raise RecordError(f"{word} needs one session: finray export {word} SESSION --out FILE{endings[0]}")
+        raise RecordError(
+            f"{word} needs exactly one session; run 'finray export {word} SESSION --out FILE{endings[0]}'"
+        )
     folder: Path = arguments.paint[1]
     session = read_session_frames(folder)
     out = require_new(arguments.out or Path(f"{file_name(folder.resolve().name)}{endings[0]}"))
@@ -347,7 +353,9 @@ def run_protocol(arguments: argparse.Namespace) -> None:
 
     _refuse_options(arguments, "a press protocol")
     if len(arguments.paint) != 2:  # the word and the file
-        raise RecordError("a press protocol needs one finger or classic sensor: finray export protocol SENSOR.toml")
+        raise RecordError(
+            "a press protocol needs exactly one finger or classic sensor; run 'finray export protocol SENSOR.toml'"
+        )
     path: Path = arguments.paint[1]
     sensor = read_sensor(path) if is_sensor(path) else read_design(path)
     with naming(RecordError, path):
@@ -440,12 +448,10 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         type=Path,
         nargs="+",
         metavar="PAINT",
-        help="record written by 'finray fit'; or 'deck', 'taxim', 'capture-request' or 'protocol' and a design; or "
-        "'captures' and a folder; or 'ome-tiff', 'nexus' or 'bluesky' and a session",
+        help="record written by 'finray fit'; or a word and its source: 'deck', 'taxim', 'capture-request' or "
+        "'protocol' and a design, 'captures' and a folder, or 'ome-tiff', 'nexus' or 'bluesky' and a session",
     )
-    parser.add_argument(
-        "--format", choices=list(SUFFIXES), help="format of a paint's file; the list above explains them"
-    )
+    parser.add_argument("--format", choices=list(SUFFIXES), help="file format of a paint, as listed above")
     add_deck_options(parser)
     add_taxim_options(parser)
     parser.add_argument(
@@ -453,14 +459,17 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         type=Path,
         metavar="CSV",
         action="append",
-        help="light of rgb-reradiation (wavelength_nm,power_rel); give it again for a second light (default: a "
-        "Gaussian of 450 nm, FWHM 20 nm, labelled assumed)",
+        help="light spectrum for rgb-reradiation (columns wavelength_nm,power_rel); give it again for a second light "
+        "(default: a Gaussian at 450 nm, FWHM 20 nm, labelled assumed)",
     )
     parser.add_argument(
         "--camera-response",
         type=Path,
         metavar="CSV",
-        help="camera of rgb-reradiation (wavelength_nm,red_percent,green_percent,blue_percent; default: assumed)",
+        help=(
+            "camera response for rgb-reradiation (columns wavelength_nm,red_percent,green_percent,blue_percent; "
+            "default: an assumed one)"
+        ),
     )
     add_out(
         parser,
@@ -485,7 +494,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     curves = [*(arguments.led or []), *([arguments.camera_response] if arguments.camera_response else [])]
     if curves and arguments.format != "rgb-reradiation":
         raise RecordError(
-            f"--led and --camera-response belong to --format rgb-reradiation; leave them out for {arguments.format}"
+            f"--led and --camera-response are only for --format rgb-reradiation; leave them out for {arguments.format}"
         )
     paint = read_record(file, PaintCalibration)
     out = require_new(arguments.out or Path(file_name(paint.paint_name) + SUFFIXES[arguments.format]))
@@ -513,10 +522,12 @@ def _one_paint(arguments: argparse.Namespace) -> Path:
     refuse_taxim_options(arguments)
     if arguments.format is None:
         raise RecordError(
-            f"--format is missing; give one of {', '.join(SUFFIXES)}. For the deck of a finger: finray export deck "
-            "DESIGN --dialect calculix"
+            f"--format is missing; give one of {', '.join(SUFFIXES)}. For the deck of a finger, run 'finray export "
+            "deck DESIGN --dialect calculix'"
         )
     if len(arguments.paint) > 1:
-        raise RecordError(f"{len(arguments.paint)} files are given, but one paint is written at a time; give one file")
+        raise RecordError(
+            f"{len(arguments.paint)} files are given, but only one paint can be written at a time; give one file"
+        )
     paint: Path = arguments.paint[0]
     return paint

@@ -71,8 +71,8 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         type=Path,
         nargs="+",
         metavar="BANDS",
-        help="record written by 'finray radiometry' (with --map: its pixel signals); several are repeats of one paint "
-        "on one rig and become one calibration",
+        help="record written by 'finray radiometry' (its pixel signals with --map); several records must be repeats "
+        "of one paint on one rig, and give one calibration",
     )
     parser.add_argument(
         "--family",
@@ -92,20 +92,20 @@ def add_fit(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         action="append",
         default=[],
         metavar="BANDS",
-        help="band signals of the same paint under another excitation light (repeatable): constrains the absorption",
+        help="band signals of the same paint under another excitation light, to constrain the absorption (repeatable)",
     )
     parser.add_argument(
         "--room-light",
         type=Path,
         metavar="SESSION",
-        help="take the reflectance from the ColorChecker patch closest to the paint in this session's room-light frame "
-        "(the paper's way, 30 %% uncertain), instead of the one measured under the lamp",
+        help="session whose room-light frame gives the reflectance, as that of the ColorChecker patch closest to the "
+        "paint (the paper's way, 30 %% uncertain), instead of the reflectance measured under the lamp",
     )
     parser.add_argument("--report", type=Path, metavar="PAGE", help="also write a page (HTML) that explains the fit")
     parser.add_argument(
         "--map", action="store_true", help="fit every pixel; BANDS is then the record of pixel signals of the session"
     )
-    parser.add_argument("--paint", type=Path, metavar="PAINT", help="with --map: the fit of the region")
+    parser.add_argument("--paint", type=Path, metavar="PAINT", help="fit of the region (needed with --map)")
     add_out(parser, "PAINT.paint.json, with --map PAINT.map.json")
     add_seed(parser)
     parser.set_defaults(run=run)
@@ -235,15 +235,18 @@ def _refuse_ignored(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_the_region.items() if is_given]
     if arguments.map and given:
         raise FitError(
-            f"{given[0]}: applies to the fit of the region only, because a map takes family and rig "
-            "imperfections from --paint; leave it out, or leave out --map"
+            f"{given[0]} cannot be combined with --map, because a map takes family and rig imperfections from "
+            f"--paint; leave out {given[0]} or --map"
         )
     if arguments.paint is not None and not arguments.map:
-        raise FitError("--paint: names the fit of the region from which --map starts; give --map too, or leave it out")
+        raise FitError(
+            "--paint is supported only with --map, which starts from this fit of the region; add --map, "
+            "or leave --paint out"
+        )
     if arguments.map and len(arguments.bands) > 1:
         raise FitError(
-            f"{arguments.bands[1]}: a map belongs to one session; give the pixel signals of one session, and its "
-            "--paint"
+            f"{arguments.bands[1]}: is a second record, but a map is made from only one session; give the pixel "
+            "signals of one session, and its --paint"
         )
 
 
@@ -328,8 +331,8 @@ def run_map(arguments: argparse.Namespace) -> None:
 
     if arguments.paint is None:
         raise FitError(
-            f"{arguments.bands[0]}: a map needs the fit of the region of the same session; run 'finray fit BANDS' "
-            "first and add --paint PAINT.paint.json"
+            f"{arguments.bands[0]}: --map needs --paint, the fit of the region of the same session; run 'finray fit "
+            "BANDS' first and add --paint PAINT.paint.json"
         )
     place: Path = arguments.bands[0]
     pixels = read_record(place, PixelSignals)
@@ -423,7 +426,9 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}{_OUT_ENDING}"))
     toml = require_new(out.with_name(f"{out.name.removesuffix('.json').removesuffix('.sensor')}.fitted.toml"))
     if arguments.samples < 2 or arguments.samples % 2:
-        raise SimulateError(f"--samples {arguments.samples}: must be an even whole number from 2, for example 128")
+        raise SimulateError(
+            f"--samples {arguments.samples}: must be an even whole number of 2 or more, for example 128"
+        )
     paints = paint_files(arguments, "a classic sensor")
     with progress_bar("fit the sensor") as progress, naming(SimulateError, arguments.design):
         fit = fit_sensor(
@@ -498,14 +503,14 @@ def add_fit_material(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]
     parser = verbs.add_parser("fit-material", help=MATERIAL_HELP, description=MATERIAL_DESCRIPTION)
     parser.add_argument(
         "curves", type=Path, nargs="+", metavar="CURVE",
-        help="loading curve (CSV): columns displacement_mm, counted from near first touch, and force_n, if known "
-        "force_uncertainty_n",
+        help="loading curve (CSV) with the columns displacement_mm (0 near first touch), force_n and, if known, "
+             "force_uncertainty_n",
     )  # fmt: skip
     parser.add_argument(
         "--on", action="append", required=True, metavar="SPECIMEN",
-        help="what the curve was measured on, once for each curve: a block LENGTHxWIDTHxHEIGHT:PLATES in mm, "
-            "PLATES lubricated (sides free), bonded (glued to both plates) or confined (walls around); or a "
-            "finger's design (TOML), pressed by its indenter",
+        help="what the curve was measured on (give once for each curve): a block LENGTHxWIDTHxHEIGHT:PLATES in mm, "
+             "where PLATES is lubricated (sides free), bonded (glued to both plates) or confined (walls around), or "
+             "the design (TOML) of a finger that was pressed by its indenter",
     )  # fmt: skip
     add_out(parser, f"NAME{_MATERIAL_ENDING}, with a picture beside it")
     add_seed(parser)
@@ -530,7 +535,8 @@ def run_fit_material(arguments: argparse.Namespace) -> None:
 
     if len(arguments.on) != len(arguments.curves):
         raise CompareError(
-            f"{len(arguments.curves)} curves and {len(arguments.on)} --on: give --on once for each curve, in order"
+            f"{len(arguments.curves)} curves but {len(arguments.on)} --on are given; give --on exactly once for each "
+            "curve, in the same order"
         )
     name = file_name(arguments.curves[0].stem)
     out = require_new(arguments.out or Path(f"{name}{_MATERIAL_ENDING}"), ".json")
@@ -578,11 +584,11 @@ def _specimen(given: str, curve: "MeasuredForce", progress: Progress) -> "ForceM
         return model
     sizes, plates = found.groups()[:3], found.group(4).lower()
     if plates not in _PLATES:
-        raise CompareError(f"--on {given}: plates cannot be {plates!r}; give one of {', '.join(_PLATES)}")
+        raise CompareError(f"--on {given}: plates {plates!r} are not supported; give one of {', '.join(_PLATES)}")
     try:
         edges = [float(size) for size in sizes]
     except ValueError:
-        raise CompareError(f"--on {given}: edges are numbers in mm, such as 20x20x10:{plates}") from None
+        raise CompareError(f"--on {given}: the edges must be numbers in mm, such as 20x20x10:{plates}") from None
     try:
         block = GelBlock(edges[0], edges[1], edges[2], cast("Plates", plates))
         return block_force_model(block, push_mm, machine_threads(), progress)

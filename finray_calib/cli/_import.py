@@ -50,12 +50,21 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_captures_format(formats)
     dtact = _add_format(formats, "9dtact", "sensor folder of 9DTact", NINE_DTACT)
     dtact.add_argument(
-        "--predict-from", type=Path, metavar="FOLDER", help="another sensor, whose depth table predicts the press"
+        "--predict-from",
+        type=Path,
+        metavar="FOLDER",
+        help="folder of another sensor, whose depth table is used to predict the press",
     )
     pi = _add_format(formats, "raspberry-pi", "images of one press, taken with rpicam-still", RASPBERRY_PI)
     pi.add_argument("--tuning", type=Path, metavar="FILE", help="libcamera tuning file that the camera used")
-    pi.add_argument("--undo-colour", action="store_true", help="undo colour matrix and white balance (PNG, JPEG)")
-    pi.add_argument("--flatten-shading", action="store_true", help="flatten the lens shading by the tuning (raw)")
+    pi.add_argument(
+        "--undo-colour", action="store_true", help="undo colour matrix and white balance (PNG and JPEG only)"
+    )
+    pi.add_argument(
+        "--flatten-shading",
+        action="store_true",
+        help="flatten the lens shading with the tables of the tuning file (raw images only)",
+    )
     pi.add_argument("--bayer-order", choices=["RGGB", "BGGR", "GRBG", "GBRG"], help="of 16-bit TIFFs")
     pi.add_argument("--bit-depth", type=int, choices=[8, 10, 12, 14, 16], help="of 16-bit TIFFs")
     other = _add_format(formats, "other", "folder of one press, by a format of another package", OTHER)
@@ -90,8 +99,8 @@ def run_import(arguments: argparse.Namespace) -> None:
     if arguments.predict_from is not None:
         if arguments.predict_from.resolve() == folder.resolve():
             raise ImportFormatError(
-                f"--predict-from {arguments.predict_from}: a sensor's own table was made from its own presses, so it "
-                f"cannot be tested on them; give the folder of another sensor"
+                f"--predict-from {arguments.predict_from}: is the same sensor, but a table cannot be tested on the "
+                "presses that it was made from; give the folder of another sensor"
             )
         require_new(press_out)
     capture, press = _READERS[arguments.format](arguments)
@@ -214,7 +223,11 @@ def add_ball_press_formats(formats: "argparse._SubParsersAction[argparse.Argumen
         scale = "default: pixmm of params.json" if taxim else "required; not px per mm"
         parser.add_argument("--ball-diameter-mm", type=float, metavar="D", help=f"diameter of the ball ({ball})")
         parser.add_argument(
-            "--mm-per-px", type=float, metavar="S", required=not taxim, help=f"side of a pixel on the gel ({scale})"
+            "--mm-per-px",
+            type=float,
+            metavar="S",
+            required=not taxim,
+            help=f"side of a pixel on the gel, mm ({scale})",
         )
         add_out(parser, "FOLDER.captures, a folder with a capture of each press")
         parser.set_defaults(run=run)
@@ -289,14 +302,15 @@ both sides are scored over one region."""
 def add_render_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Register the format."""
     parser = formats.add_parser(
-        "render", help="images that any simulator rendered, as the simulated side of a comparison", description=RENDER
+        "render", help="images rendered by any simulator, as the simulated side of a comparison", description=RENDER
     )
     parser.add_argument(
         "folder", type=Path, metavar="FOLDER", help="folder with the images of one press, or a folder of such folders"
     )
     parser.add_argument(
         "--capture", type=Path, metavar="FILE",
-        help="capture of the press, or a folder of NAME.capture.json: its circle or outline shows the contact",
+        help="capture of the press, or a folder of captures (NAME.capture.json), whose circle or outline marks the "
+             "contact",
     )  # fmt: skip
     add_out(parser, "FOLDER.press.json; for several presses FOLDER.presses, a folder with NAME.press.json")
     parser.set_defaults(run=run_render)
@@ -360,7 +374,7 @@ def add_abaqus_format(formats: "argparse._SubParsersAction[argparse.ArgumentPars
     parser = formats.add_parser("abaqus", help=ABAQUS_HELP, description=ABAQUS_DESCRIPTION)
     parser.add_argument("results", type=Path, metavar="FILE.fil", help="results file in ASCII")
     parser.add_argument("--design", type=Path, required=True, metavar="DESIGN", help="the deck's design (TOML)")
-    parser.add_argument("--preset", choices=PRESETS, help="the deck's mesh (default: the design's)")
+    parser.add_argument("--preset", choices=PRESETS, help="mesh of the deck (default: that of the design)")
     add_out(parser, "DESIGN.surfaces.json, beside it DESIGN.mechanics.json")
     parser.set_defaults(run=run_abaqus)
 
@@ -425,14 +439,20 @@ def add_captures_format(formats: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument("--list", action="store_true", help="list the recipes that come with finray, and stop")
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
-        help="contact circles that replace those of the recipe (CSV): image (name of the press), column_px, row_px, "
-             "radius_px",
+        help="contact circles (CSV) to use instead of those of the recipe, with the columns image (name of the "
+             "press), column_px, row_px and radius_px",
     )  # fmt: skip
     parser.add_argument(
-        "--ball-diameter-mm", type=float, metavar="D", help="diameter of the ball; replaces the recipe's"
+        "--ball-diameter-mm",
+        type=float,
+        metavar="D",
+        help="diameter of the ball in mm, instead of that of the recipe",
     )
     parser.add_argument(
-        "--mm-per-px", type=float, metavar="S", help="scale in mm per pixel, not px per mm; replaces the recipe's"
+        "--mm-per-px",
+        type=float,
+        metavar="S",
+        help="scale in mm per pixel (not px per mm), instead of that of the recipe",
     )
     parser.add_argument(
         "--predict-from", type=int, metavar="N", help="train a look-up table on N presses and predict the others"
@@ -455,7 +475,8 @@ def run_captures(arguments: argparse.Namespace) -> None:
     folder: Path | None = arguments.folder
     if folder is None:
         raise ImportFormatError(
-            f"give FOLDER and --recipe NAME|FILE; recipes that come with finray: {', '.join(recipe_names())}"
+            "FOLDER is missing; give FOLDER and --recipe NAME|FILE. The recipes that come with finray are "
+            f"{', '.join(recipe_names())}"
         )
     if arguments.recipe is None:
         _survey(folder, arguments.out)
@@ -567,7 +588,10 @@ def _predicted(
         return
     names = list(captures)
     if not 1 <= count < len(names):
-        raise ImportFormatError(f"--predict-from {count}: must be 1 to {len(names) - 1}, for {len(names)} presses")
+        raise ImportFormatError(
+            f"--predict-from {count}: must be 1 to {len(names) - 1} for {len(names)} presses, "
+            "because at least one must be left to predict"
+        )
     taught = [names[i] for i in spread_over(len(names), count)]
     table = train_table([captures[name] for name in taught])
     for name in names:
@@ -575,7 +599,7 @@ def _predicted(
         if contact_sha256(capture) not in table.training_sha256:
             yield name, predict_press(table, capture), taught
         elif capture.name not in table.training_presses:
-            warn(f"{name}: has the same image as a training press of the table, and is not predicted")
+            warn(f"{name}: has the same image as a training press of the table, so it is not predicted")
 
 
 def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int) -> None:
@@ -604,8 +628,8 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
             ""
             if first.contact_circle is None
             else (
-                f", correct {out / CIRCLES} (set source to label in the lines that you correct), and import "
+                f", correct wrong circles in {out / CIRCLES} (set source to label in these rows), and import "
                 "again with --circles"
             )
         )
-        warn(f"the contacts were found by a search: check them in {out / CONTACTS}{correct}")
+        warn(f"the contacts were found by an automatic search; check them in {out / CONTACTS}{correct}")

@@ -42,10 +42,19 @@ def add_radiometry(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser.add_argument(
         "--accept-repeat",
         action="store_true",
-        help="where a filter and its repeat disagree, treat the difference as fading of the sample",
+        help="treat a difference between a filter and its repeat as fading of the sample",
     )
-    parser.add_argument("--whole-frame", action="store_true", help="with --pixels: every pixel of the frame")
-    parser.add_argument("--report", type=Path, metavar="PAGE", help="for a camera session: also write its page (HTML)")
+    parser.add_argument(
+        "--whole-frame",
+        action="store_true",
+        help="write every pixel of the frame, not only of the region (with --pixels only)",
+    )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="PAGE",
+        help="also write the page (HTML) of a camera session (for camera sessions only)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -55,11 +64,13 @@ def run(arguments: argparse.Namespace) -> None:
     from rigs.capture import session_kind
 
     if arguments.whole_frame and not arguments.pixels:
-        raise RadiometryError("--whole-frame: extends the map of --pixels to the whole frame; give --pixels too")
+        raise RadiometryError(
+            "--whole-frame works only with --pixels, whose map it extends to the whole frame; add --pixels"
+        )
     if session_kind(arguments.session) == "paint":
         if arguments.report is not None:
             raise RadiometryError(
-                f"{arguments.session}: is a paint session; --report is for camera sessions, leave it out"
+                f"{arguments.session}: is a paint session, but --report is only for camera sessions; leave it out"
             )
         reduce_paint(
             arguments.session, arguments.out, arguments.camera, arguments.pixels, arguments.whole_frame,
@@ -67,7 +78,10 @@ def run(arguments: argparse.Namespace) -> None:
         )  # fmt: skip
         return
     if arguments.camera is not None or arguments.pixels:
-        raise RadiometryError(f"{arguments.session}: is a camera session; --camera and --pixels are for paint sessions")
+        raise RadiometryError(
+            f"{arguments.session}: is a camera session, but --camera and --pixels are only for "
+            "paint sessions; leave them out"
+        )
     characterise(arguments.session, arguments.out, arguments.report)
 
 

@@ -136,7 +136,7 @@ def _add_calibrate_cell(actions: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument(
         "--certificate",
         metavar="TEXT",
-        help=("certificate of the masses; without it, the calibration is not traceable"),
+        help="certificate of the masses; without it, the calibration is not traceable",
     )
     add_out(parser, "the file that the rig file names")
     parser.set_defaults(run=run_calibrate_cell)
@@ -149,7 +149,9 @@ def _masses_kg(text: str) -> tuple[float, ...]:
     except ValueError:
         masses_kg = ()
     if len(set(masses_kg)) < 2 or not all(0.0 < mass < 1000.0 for mass in masses_kg):
-        raise argparse.ArgumentTypeError(f"{text!r} must be two masses or more in grams, such as 20,50,100,200")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} must be two or more different masses in grams, such as 20,50,100,200"
+        )
     return masses_kg
 
 
@@ -192,11 +194,11 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
 
     if not 9.7 <= arguments.gravity <= 9.9:
         raise CurveError(
-            f"--gravity {arguments.gravity:g}: 9.7 to 9.9 m/s^2 are allowed (9.78 at the equator, 9.83 at the poles)"
+            f"--gravity {arguments.gravity:g}: must be 9.7 to 9.9 m/s^2 (9.78 at the equator, 9.83 at the poles)"
         )
     for name in ("gravity_uncertainty", "mass_uncertainty"):
         if not 0.0 <= getattr(arguments, name) <= 0.1:
-            raise CurveError(f"--{name.replace('_', '-')} {getattr(arguments, name):g}: 0 to 0.1 are allowed")
+            raise CurveError(f"--{name.replace('_', '-')} {getattr(arguments, name):g}: must be 0 to 0.1")
     heaviest_n = max(arguments.masses_g) * arguments.gravity
     if heaviest_n > capacity_n:
         raise CurveError(
@@ -208,7 +210,7 @@ def _require_masses(arguments: argparse.Namespace, capacity_n: float) -> None:
 def _counts_of(cell: "LoadCell | None", settings: "LoadCellSettings") -> list[int]:
     """Return readings of what lies on the cell, after it has settled."""
     if cell is None:
-        raise CaptureError("load cell: it could not be opened; check its address in the rig file and its cable")
+        raise CaptureError("load cell: could not be opened; check its cable and its address in the rig file")
     for _ in range(round(SETTLES_WITHIN_S * settings.rate_hz)):
         cell.read(settings.silent_s)
     return [cell.read(settings.silent_s).counts for _ in range(READINGS_OF_A_MASS)]
@@ -296,7 +298,7 @@ def run_detect(arguments: argparse.Namespace) -> None:
         warn(f"note: {note}")
     if detection.not_searched:
         unsearched = ", ".join(detection.not_searched)
-        warn(f"note: these are not searched for: {unsearched}; enter their addresses in the rig file by hand")
+        warn(f"note: {unsearched} cannot be found by a search; enter their addresses in the rig file by hand")
 
 
 def run_show(arguments: argparse.Namespace) -> None:
@@ -409,14 +411,17 @@ def add_live(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("--plan", type=Path, metavar="PLAN", help="run this plan, as 'finray capture' does")
     parser.add_argument("--resume", type=Path, metavar="SESSION", help="continue an interrupted session")
     parser.add_argument(
-        "--like", type=Path, metavar="SESSION", help="earlier session on this rig that the white frames must resemble"
+        "--like",
+        type=Path,
+        metavar="SESSION",
+        help="earlier session on this rig whose white frames the new white frames must resemble",
     )
     add_out(parser, "NAME-session/, with --plan")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--port", type=whole_number(1024, 65535), default=0, metavar="N", help="port on 127.0.0.1 (default: a free one)"
     )
-    where.add_argument("--terminal", action="store_true", help="show it in this terminal instead of the browser")
+    where.add_argument("--terminal", action="store_true", help="show the view in this terminal instead of the browser")
     parser.set_defaults(run=run_live)
 
 
@@ -429,9 +434,12 @@ def run_live(arguments: argparse.Namespace) -> None:
         _run_session(arguments)
         return
     if arguments.rig is None:
-        raise CaptureError("give --rig to see its camera's picture, --rig and --plan to run a session, or --resume")
+        raise CaptureError(
+            "--rig is missing; give --rig to see the picture of its camera, --rig and --plan to run a "
+            "session, or --resume to continue one"
+        )
     if arguments.out is not None or arguments.like is not None:
-        raise CaptureError("live: --out and --like belong to a session; give its --plan too, or leave them out")
+        raise CaptureError("live: --out and --like are only for a session; add its --plan, or leave them out")
     rig = read_toml(arguments.rig, RigFile)
     if arguments.terminal:
         _live_in_terminal(rig, arguments.rig.parent)
@@ -466,7 +474,8 @@ def _live_in_terminal(rig: "RigFile", folder: Path) -> None:
     require_terminal()
     if not is_for_a_terminal():
         raise CaptureError(
-            "live --terminal: draws a picture in the terminal, so it takes neither --json nor --quiet; leave them out"
+            "live --terminal: cannot be combined with --json or --quiet, because it draws a picture in the terminal; "
+            "leave them out"
         )
     operator = TerminalViewOperator()
     with ended_by_signals(), rig_locked(rig), open_rig(rig, folder, operator) as opened:
@@ -486,8 +495,8 @@ def _run_session(arguments: argparse.Namespace) -> None:
         require_terminal()
         if not is_for_a_terminal():
             raise CaptureError(
-                "live --terminal: draws a picture in the terminal, so it takes neither --json nor "
-                "--quiet; leave them out"
+                "live --terminal: cannot be combined with --json or --quiet, because it draws a picture in the "
+                "terminal; leave them out"
             )
 
     @contextmanager
@@ -499,12 +508,15 @@ def _run_session(arguments: argparse.Namespace) -> None:
 
     if arguments.resume is not None:
         if arguments.plan is not None or arguments.rig is not None or arguments.out is not None:
-            raise CaptureError("--resume takes plan, rig and folder from the session; leave out --plan, --rig, --out")
+            raise CaptureError(
+                "--resume takes plan, rig and folder from the session, so they cannot be given again; "
+                "leave out --plan, --rig and --out"
+            )
         with interruptible(arguments.resume):
             resume(arguments.resume, arguments.like, attend)
         return
     if arguments.rig is None:
-        raise CaptureError("live --plan: give the --rig on which the plan is captured")
+        raise CaptureError("live --plan: --rig is missing; give the rig on which to capture the plan")
     arguments.attend, arguments.dry_run = attend, False
     capture(arguments)
 
@@ -571,5 +583,5 @@ def _require_unseen(file: Path, out: Path) -> None:
     except (FinrayError, OSError, ValueError, OverflowError):
         return
     raise CaptureError(
-        f"{out}: the view of its session is open already, at {url}; open that address, or end that session first"
+        f"{out}: the view of this session is already open at {url}; open that address, or end the session first"
     )

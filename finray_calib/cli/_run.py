@@ -137,7 +137,9 @@ def paint_files(arguments: argparse.Namespace, without: str = "", dest: str = "p
     if len(files) < len(given):
         raise SimulateError("--paint: a colour is given twice; give one file for red and one for green")
     if len(files) == 1 and without:
-        raise SimulateError(f"--paint: give both red=FILE and green=FILE, or neither for {without}")
+        raise SimulateError(
+            f"--paint: only one of the two walls is given; give both red=FILE and green=FILE, or neither for {without}"
+        )
     return files
 
 
@@ -155,7 +157,7 @@ def both_paint_files(arguments: argparse.Namespace) -> dict[str, Path]:
     files = paint_files(arguments)
     for colour in ("red", "green"):
         if colour not in files:
-            raise SimulateError(f"no paint for the {colour} wall: give --paint red=FILE and --paint green=FILE")
+            raise SimulateError(f"the {colour} wall has no paint; give --paint red=FILE and --paint green=FILE")
     return files
 
 
@@ -252,8 +254,8 @@ def require_place(path: Path) -> Path:
         raise RecordError(f"{path}: cannot be written, because {above} is not a folder; choose another --out")
     if not os.access(above, os.W_OK | os.X_OK):
         raise RecordError(
-            f"{path}: cannot be written, because the folder {above} does not allow it; choose another --out or change "
-            "its permissions"
+            f"{path}: cannot be written, because the folder {above} is not writable; choose another --out, or change "
+            "the permissions of the folder"
         )
     return path
 
@@ -340,8 +342,8 @@ def run_in_own_process(work: LongWork, words: Sequence[str]) -> int:
             status = child.call("finray_calib.cli._run:run_verb", job, log=log, hear=screen.show)
         except ProcessDiedError as died:
             raise ProcessDiedError(
-                f"{work.words} {died}. Its log is {log}. {work.kept}; if that fails again, 'finray doctor' lists what "
-                "this machine lacks"
+                f"{work.words} {died}. Its log is {log}. {work.kept}. If it fails again, run 'finray doctor' to see "
+                "what this machine lacks"
             ) from None
         except KeyboardInterrupt:
             _tidy(log, was_there)

@@ -52,38 +52,44 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser = jobs.add_parser("scale", help=PIXEL_SCALE_HELP, description=PIXEL_SCALE_DESCRIPTION)
     parser.add_argument(
         "lens", type=Path, nargs="+", metavar="PICTURE",
-        help="pictures of the board turned and tilted; or one tactile session, whose plan has [board] on_pad = true",
+        help="pictures of the board turned and tilted, or one tactile session whose plan has [board] on_pad = true",
     )  # fmt: skip
-    parser.add_argument("--pad", type=Path, metavar="PICTURE", help="picture of the board where the pad's coat is")
+    parser.add_argument(
+        "--pad", type=Path, metavar="PICTURE", help="picture of the board lying where the coat of the pad is"
+    )
     parser.add_argument(
         "--plan", type=Path, metavar="TOML", help="tactile plan whose [board] table describes the printed board"
     )
-    parser.add_argument("--squares", metavar="NxM", help="squares along and across, for example 7x5")
-    parser.add_argument("--square-mm", type=float, metavar="MM", help="side of a printed square, measured")
+    parser.add_argument("--squares", metavar="NxM", help="number of squares along and across, for example 7x5")
+    parser.add_argument("--square-mm", type=float, metavar="MM", help="measured side of a printed square in mm")
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker")
     parser.add_argument(
         "--dictionary",
         default="DICT_4X4_50",
         metavar="NAME",
-        help="the board's dictionary in OpenCV (default: DICT_4X4_50)",
+        help="OpenCV dictionary of the board's markers (default: DICT_4X4_50)",
     )
     parser.add_argument(
-        "--square-u-mm", type=float, metavar="MM", help="standard uncertainty of the side of a square; required"
+        "--square-u-mm", type=float, metavar="MM", help="standard uncertainty in mm of the side of a square; required"
     )
     parser.add_argument(
         "--coat-behind-mm", type=float, default=0.0, metavar="MM",
-        help="how far the coat lies behind the printed face, as seen from the camera; negative: in front of it "
-            "(default: 0)",
+        help="distance in mm from the printed face back to the coat, as seen from the camera; a negative value puts "
+             "the coat in front of the face (default: 0)",
     )  # fmt: skip
     parser.add_argument(
         "--coat-behind-u-mm",
         type=float,
         default=0.0,
         metavar="MM",
-        help="standard uncertainty of --coat-behind-mm (default: 0)",
+        help="standard uncertainty in mm of --coat-behind-mm (default: 0)",
     )
-    parser.add_argument("--lens-model", choices=("fisheye", "pinhole"), help="default: the one that fits better")
-    parser.add_argument("--monochrome", action="store_true", help="16-bit pictures are grey, not Bayer counts")
+    parser.add_argument(
+        "--lens-model", choices=("fisheye", "pinhole"), help="lens model (default: the model that fits better)"
+    )
+    parser.add_argument(
+        "--monochrome", action="store_true", help="read 16-bit pictures as grey values, not as Bayer counts"
+    )
     add_out(parser, "pixel-scale.json")
     add_seed(parser)
     parser.set_defaults(run=run_pixel_scale)
@@ -106,7 +112,8 @@ def run_pixel_scale(arguments: argparse.Namespace) -> None:
     sizes = {picture.shape for picture in pictures.values()}
     if len(sizes) > 1:
         raise CompareError(
-            f"the pictures differ in size (rows x columns): {sorted(sizes)}; give pictures of one camera at one size"
+            f"the pictures have different sizes (rows, columns), {sorted(sizes)}; give pictures of one camera at one "
+            "size"
         )
     views = [find_board(pictures[str(pad)], board, str(pad))]
     for path in others:
@@ -159,12 +166,12 @@ def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, 
     if len(files) == 1 and files[0].is_dir():
         if any(value is not None for value in (arguments.pad, arguments.plan, arguments.squares)):
             raise CompareError(
-                f"{files[0]}: is a session, which holds its own pictures and board; leave the other "
-                f"files and options out"
+                f"{files[0]}: is a session, which already contains its pictures and its board; leave out --pad, "
+                "--plan and --squares"
             )
         return _session_pictures(files[0])
     if arguments.pad is None:
-        raise CompareError("--pad: missing; give the picture of the board where the coat of the pad is")
+        raise CompareError("--pad is missing; give the picture of the board lying where the coat of the pad is")
     return _board(arguments), arguments.pad, _others(files, arguments.pad)
 
 
@@ -176,7 +183,7 @@ def _others(files: list[Path], pad: Path) -> list[Path]:
     seen: set[Path] = set()
     for file in others:
         if file.resolve() in seen:
-            raise CompareError(f"{file}: is given twice; name each picture once")
+            raise CompareError(f"{file}: is given twice; give each picture once")
         seen.add(file.resolve())
     return others
 
@@ -189,15 +196,15 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
 
     if not (folder / "session.json").exists():
         raise CompareError(
-            f"{folder}: holds no tactile session (session.json); give the folder that 'finray capture' wrote, or "
-            "pictures of the board, and with --pad the picture of the board on the pad"
+            f"{folder}: contains no tactile session (session.json is missing); give a folder that 'finray capture' "
+            "wrote, or pictures of the board and, with --pad, the picture of the board on the pad"
         )
     session = read_record(folder / "session.json", TactileSession)
     board = session.plan.board
     if board is None or not board.on_pad:
         raise CompareError(
-            f"{folder}: its plan does not state that the first picture shows the board on the pad ([board], "
-            "on_pad = true); give the pictures by name, and with --pad the picture of the board on the pad"
+            f"{folder}: the plan of this session does not state that the first picture shows the board on the pad "
+            "([board], on_pad = true); give the pictures by name and, with --pad, the picture of the board on the pad"
         )
     chosen: list[Path] = []
     for place in range(1, board.images + 1):
@@ -210,8 +217,9 @@ def _session_pictures(folder: Path) -> "tuple[CharucoBoard, Path, list[Path]]":
             chosen.append(folder / frame.file)
         elif place == 1:
             raise CompareError(
-                f"{folder}: holds no picture of the board on the pad (was the session interrupted?): "
-                "capture it again, or give the pictures by name, and with --pad the picture of the board on the pad"
+                f"{folder}: the picture of the board on the pad is missing, perhaps because the session was "
+                "interrupted; capture the session again, or give the pictures by name and, with --pad, the picture "
+                "of the board on the pad"
             )
     return board, chosen[0], chosen[1:]
 
@@ -227,13 +235,16 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
             raise CompareError("--plan already describes the board; leave --squares, --square-mm and --marker-mm out")
         plan = read_toml(arguments.plan, TactilePlan)
         if plan.board is None:
-            raise CompareError(f"{arguments.plan}: has no [board] table; add it, or give --squares and --square-mm")
+            raise CompareError(
+                f"{arguments.plan}: has no [board] table; add the table, or give --squares, "
+                "--square-mm and --marker-mm instead of --plan"
+            )
         return plan.board
     missing = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is None]
     if missing:
         raise CompareError(
-            f"{', '.join(missing)}: missing; without the printed squares no length can be measured: give their number "
-            "and their size (mm), or --plan with a [board] table"
+            f"{', '.join(missing)}: missing, but needed to measure lengths; give the number of squares and the sides "
+            "of squares and markers (mm), or --plan with a [board] table"
         )
     along, separator, across = given["squares"].partition("x")
     if not separator or not along.isdigit() or not across.isdigit():
@@ -259,8 +270,8 @@ def tolerances(arguments: argparse.Namespace, square_mm: float) -> tuple[float, 
     behind_mm, behind_u_mm = float(arguments.coat_behind_mm), float(arguments.coat_behind_u_mm)
     if u_mm is None:
         raise CompareError(
-            "--square-u-mm: missing; measure all squares of a row at once with a calliper, and divide its standard "
-            "uncertainty (for 'within 0.05 mm' it is 0.05 / sqrt(3)) by the number of squares"
+            "--square-u-mm is missing; measure all squares of a row at once with a calliper, and give the calliper's "
+            "standard uncertainty in mm (0.05 / sqrt(3) for 'within 0.05 mm') divided by the number of squares"
         )
     if not 0.0 <= u_mm <= 0.1 * square_mm:
         raise CompareError(
@@ -291,11 +302,12 @@ def _add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     parser.add_argument(
         "--circles", type=Path, metavar="CSV",
-        help="contact circles: image,column_px,row_px,radius_px, image being the capture's file name",
+        help="contact circles (CSV), with the columns image (file name of the capture), column_px, row_px and "
+             "radius_px",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=Path, metavar="FILE",
-        help="mm per pixel as 'finray sense scale' measured it, in place of what the captures state",
+        help="scale in mm per pixel that 'finray sense scale' measured, instead of the scale that the captures state",
     )  # fmt: skip
     add_out(parser, "normal-map.json")
     add_seed(parser)
@@ -356,7 +368,9 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
     found = read_circles(circles)
     missing = [path.name for path in files if path.name not in found]
     if missing:
-        raise CompareError(f"{circles}: no circle for {missing[0]}; add a line, or leave that capture out")
+        raise CompareError(
+            f"{circles}: the circle of {missing[0]} is missing; add a row for it, or leave that capture out"
+        )
     return [
         capture.model_copy(
             update={"contact_circle": found[path.name].circle, "contact_told_by": found[path.name].source}
@@ -395,7 +409,7 @@ def _files(places: list[Path]) -> list[Path]:
         folder = folder_at(place, CompareError)
         inner = [place] if folder is None else files_in(folder, ".capture.json")
         if not inner:
-            raise CompareError(f"{place}: holds no NAME.capture.json; import presses, or give their files")
+            raise CompareError(f"{place}: contains no capture (NAME.capture.json); import presses, or give their files")
         found += inner
     return found
 
@@ -415,7 +429,8 @@ def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="tactile capture of another press")
     parser.add_argument(
         "--contact-depth-mm", type=float, metavar="MM",
-        help="least depth at which a pixel counts as touched (default: a tenth of the largest depth, at least 3 sd)",
+        help="smallest depth in mm at which a pixel counts as touched (default: a tenth of the largest depth, but at "
+             "least 3 sd)",
     )  # fmt: skip
     add_out(parser, "CAPTURE.sensed.json")
     parser.set_defaults(run=run_sense)
@@ -460,6 +475,6 @@ def _report_sensed(sensed: "SensedPress") -> None:
         say(f"  note: {note}")
     if sensed.is_of_teaching:
         warn(
-            f"{sensed.name} is a training press of the map '{sensed.normal_map}': its result proves nothing about "
+            f"{sensed.name} is a training press of the map '{sensed.normal_map}', so its result proves nothing about "
             "other presses"
         )

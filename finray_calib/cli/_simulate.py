@@ -102,7 +102,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--presses",
         type=whole_number(1, MOST_PRESSES),
         metavar="N",
-        help=("presses by finite elements to train the surrogate on, at least 20 (default: 40)"),
+        help="presses by finite elements to train the surrogate on, at least 20 (default: 40)",
     )
     add_out(parser, "NAME.surrogate.json")
     parser.set_defaults(run=run_teach, long_work=_long_teach)
@@ -110,7 +110,7 @@ def add_teach(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def _long_teach(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    kept = "Finished presses are kept: the same command continues after the last one"
+    kept = "Finished presses are kept, and the same command continues after the last one"
     return LongWork("the training of a surrogate", kept, arguments.out)
 
 
@@ -182,7 +182,10 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     _add_scene(parser)
     parser.add_argument(
-        "--level", choices=["a", "a_inverse_square", "b", "c"], default="b", help="how the walls emit (default: b)"
+        "--level",
+        choices=["a", "a_inverse_square", "b", "c"],
+        default="b",
+        help="how the light of the walls is modelled (default: b)",
     )
     parser.add_argument(
         "--samples", type=path_count, default=128, metavar="N", help="paths per pixel, an even number (default: 128)"
@@ -194,18 +197,19 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",
-        help="as --images, with denoised pictures, which are for viewing and not for measuring; needs pip install "
-             "'finray-calib[denoise]'",
+        help="like --images, but with denoised pictures for viewing, not for measuring (needs pip install "
+             "'finray-calib[denoise]')",
     )  # fmt: skip
     parser.add_argument(
         "--pose-response", action="store_true",
         help="also render how the contact image changes with the indenter's depth and position, so that 'finray "
-            "compare' can include the pose's uncertainty (three times the time)",
+             "compare' can include the pose's uncertainty (takes three times as long)",
     )  # fmt: skip
     parser.add_argument(
         "--shared-light", action="store_true",
-        help="let pixels share the light that reaches the coat, found once by paths from points all over it: less "
-        "noise in the same time, part of it common to neighbours (needs LLVM; not with --level c)",
+        help="let pixels share the light that reaches the coat, found once by paths from points all over it; the "
+             "same time then gives less noise, but neighbouring pixels share a part of it (needs LLVM; not with "
+             "--level c)",
     )  # fmt: skip
     add_out(parser, "NAME.press.json")
     add_seed(parser)
@@ -236,9 +240,9 @@ def add_sweep(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--objectives", choices=["intensity", "all"], default="intensity",
         help=(
-                "intensity: the brightness beside the indenter only (default); all: also how well normals can be "
-                "measured (Fisher information, held-out error), evenness, colours, clipping and room for the panel. "
-                "These are computed at the first of --positions only, and take 15 s more"
+                "what to compute: intensity is only the brightness beside the indenter (default); all adds how well "
+                "normals can be measured (Fisher information, held-out error), evenness, colours, clipping and room "
+                "for the panel, at the first of --positions only, and takes 15 s more"
             ),
     )  # fmt: skip
     parser.add_argument(
@@ -256,7 +260,8 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     add_paints_as_given(parser)
     parser.add_argument(
         "--surfaces", type=Path, metavar="FILE",
-        help="the finger without and with contact, by 'finray simulate press' (default: pressed by a formula)",
+        help="surfaces of the finger without and with contact, from 'finray simulate press' (default: pressed by a "
+             "formula)",
     )  # fmt: skip
     add_engine(parser)
 
@@ -279,7 +284,8 @@ def _angles(text: str) -> list[float]:
         raise argparse.ArgumentTypeError(f"{text!r} must be FIRST:LAST:STEP in deg, for example 0:120:10") from None
     if not (SMALLEST_STEP_DEG <= step <= last - first and first >= -90 and last <= 180):
         raise argparse.ArgumentTypeError(
-            f"{text!r}: needs -90 <= FIRST < LAST <= 180 deg and a STEP of {SMALLEST_STEP_DEG:g} deg to LAST - FIRST"
+            f"{text!r}: must have -90 <= FIRST < LAST <= 180 deg and a STEP from {SMALLEST_STEP_DEG:g} deg to LAST - "
+            "FIRST"
         )
     count = int((last - first) / step + 1e-9) + 1
     return [first + i * step for i in range(count)]
@@ -341,8 +347,8 @@ def current_spelling(words: Sequence[str]) -> list[str]:
 def _told(now: list[str]) -> list[str]:
     """Return the words of a command after telling that they are spelled so now."""
     warn(
-        f"this spelling belongs to an earlier version and will be removed in the next one; type now: "
-        f"{shlex.join(['finray', *now])}"
+        "this spelling is from an earlier version and will be removed in the next one; type "
+        f"{shlex.join(['finray', *now])} instead"
     )
     return now
 
@@ -407,7 +413,7 @@ def _render_sensor(arguments: argparse.Namespace) -> None:
     given = [name for name, is_given in of_fingers.items() if is_given]
     if given:
         raise SimulateError(
-            f"{arguments.design}: is a classic sensor; leave out {', '.join(given)}, for painted fingers only"
+            f"{arguments.design}: is a classic sensor; leave out {', '.join(given)}, supported only for painted fingers"
         )
     out = require_new(arguments.out or Path(f"{file_name(Path(arguments.design).stem)}.press.json"), ".json")
     folder = _image_paths(out)[0] if arguments.images else None
@@ -452,8 +458,8 @@ def run_sweep(arguments: argparse.Namespace) -> None:
         return
     if arguments.surfaces is not None:
         raise SimulateError(
-            "--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each "
-            "with its own --surfaces and --out, and give all of them to 'finray decide'"
+            "--positions works only for presses by a formula, but --surfaces is a press at one place; sweep each "
+            "place with its own --surfaces and --out, and give all sweeps to 'finray decide'"
         )
     _sweep_places(arguments, require_ending(out, ".json"))
 
@@ -494,7 +500,9 @@ def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
     length_mm = design.pad.length_mm
     off = [place for place in arguments.positions if not 0.0 < place < length_mm]
     if off:
-        raise SimulateError(f"--positions: {off[0]:g} mm is not on the pad, which reaches from 0 to {length_mm:g} mm")
+        raise SimulateError(
+            f"--positions: {off[0]:g} mm is not on the pad; give places above 0 and below {length_mm:g} mm"
+        )
     stem = out.name.removesuffix(".json").removesuffix(".sweep")
     outs = {place: out.with_name(f"{stem}.{place:04.1f}mm.sweep.json") for place in arguments.positions}
     kept = [path for place, path in outs.items() if _is_swept(path, design, place, arguments)]
@@ -609,7 +617,7 @@ def add_recolour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     parser.add_argument("--camera", type=Path, metavar="FILE", help="camera response (CSV)")
     parser.add_argument(
         "--white-balance", type=_white_balance, metavar="R:G:B",
-        help="gains of red, green and blue, e.g. 1.8:1:1.4; or 'pad': the untouched pad becomes grey on average",
+        help="gains of red, green and blue, e.g. 1.8:1:1.4, or 'pad' to make the untouched pad grey on average",
     )  # fmt: skip
     add_out(parser, "PRESS-recoloured.json")
     parser.set_defaults(run=run_recolour)
@@ -622,9 +630,9 @@ def _white_balance(text: str) -> "WhiteBalance":
     try:
         red, green, blue = (float(part) for part in text.split(":"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} must be R:G:B, for example 1.8:1:1.4, or pad") from None
+        raise argparse.ArgumentTypeError(f"{text!r} must be R:G:B, for example 1.8:1:1.4, or 'pad'") from None
     if not all(0.0 < gain <= 1000.0 for gain in (red, green, blue)):
-        raise argparse.ArgumentTypeError(f"{text!r}: gains must be above 0 and at most 1000")
+        raise argparse.ArgumentTypeError(f"{text!r}: the gains must be above 0 and at most 1000")
     return red, green, blue
 
 
@@ -638,7 +646,7 @@ def run_recolour(arguments: argparse.Namespace) -> None:
 
     files = paint_files(arguments, without="the press's own paints")
     if not files and arguments.camera is None and arguments.white_balance is None:
-        raise SimulateError("no change is given: give --paint for both walls, --camera or --white-balance")
+        raise SimulateError("no change was requested; give --paint for both walls, --camera or --white-balance")
     out = require_new(arguments.out or arguments.press.with_name(f"{arguments.press.stem}-recoloured.json"), ".json")
     press = read_record(arguments.press, SimulatedPress)
     paints = {colour: paint_optics(read_record(path, PaintCalibration)) for colour, path in files.items()}

@@ -47,10 +47,10 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         type=number_within("a force in N", (0.01, LARGEST_FORCE_N)),
         required=True,
         metavar="NEWTON",
-        help="closing force, as the mean over both fingers",
+        help="closing force in N, as the mean over both fingers",
     )
     parser.add_argument(
-        "--mass", type=_mass, default=0.0, metavar="KG", help="mass of the object that is carried (default: 0, none)"
+        "--mass", type=_mass, default=0.0, metavar="KG", help="mass of the carried object in kg (default: 0, none)"
     )
     parser.add_argument(
         "--down", choices=["tip", "side", "near"], default="tip",
@@ -59,8 +59,8 @@ def add_grasp(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--increments", type=increment_count, default=4, metavar="N",
-        help="steps to the force, and again to the whole weight (default: 4); shorter steps are inserted where "
-            "needed",
+        help="number of steps to the force, and again to the whole weight (default: 4); shorter steps are inserted "
+             "where needed",
     )  # fmt: skip
     add_out(parser, "NAME.grasp.json, with the other files beside it")
     parser.set_defaults(run=run_grasp, long_work=_long_grasp)
@@ -136,8 +136,8 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
     for side, (_, pressed) in sides.items():
         if pressed.crossing:
             warn(
-                f"warning: {side} finger: {pressed.crossing}; its results from there on are not physical: close "
-                "with less force"
+                f"warning: {side} finger: {pressed.crossing}; the results from there on are not physical. Close with "
+                "less force"
             )
         if pressed.unstable:
             warn(
@@ -147,9 +147,9 @@ def _store(found: "Grasp", record: "ObjectGrasp", files: dict[str, Path], origin
         touching = int((pressed.pressure_mpa > 0.0).sum())
         if touching < FEWEST_TOUCHING:
             warn(
-                f"warning: {side} finger: {touching} points of its mesh touch the object, and below {FEWEST_TOUCHING} "
-                'the force depends on where these lie: take a finer mesh (mesh.preset = "medium" in the design), or '
-                "close with more force"
+                f"warning: {side} finger: only {touching} points of its mesh touch the object, but below "
+                f"{FEWEST_TOUCHING} the force depends on where the points lie; use a finer mesh (mesh.preset = "
+                '"medium" in the design), or close with more force'
             )
 
 

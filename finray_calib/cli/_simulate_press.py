@@ -111,7 +111,9 @@ def mechanics_paths(out: Path, resume: Path | None = None, goes_on: bool = False
     if resume is None or resume.parent.absolute() != increments.absolute():
         require_new(increments)
     elif any(_number(stored) > _number(resume) for stored in increments.glob("*.json")):
-        raise RecordError(f"{resume}: later increments are stored beside it; give another --out so that they are kept")
+        raise RecordError(
+            f"{resume}: later increments are stored in the same folder; choose another --out so that they are kept"
+        )
     return {**files, "increments": increments}
 
 
@@ -207,7 +209,7 @@ def run_press(arguments: argparse.Namespace) -> None:
         )
     files = mechanics_paths(out, resume, goes_on)
     if goes_on:
-        where = "begins again" if resume is None else f"continues after increment {resume.stem}"
+        where = "starts again from the beginning" if resume is None else f"continues after increment {resume.stem}"
         warn(f"{files['increments']}: this press was interrupted; it {where}")
     if resume is not None:
         read_bytes(resume, "a stored increment of a press (.json)")
@@ -231,7 +233,7 @@ def run_press(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"{changed[0]}: was changed while the press was computed from it; run the command again")
     _store(design, pressed, said, files, origin, folder)
     if unvaried:
-        raise SimulateError(f"{unvaried}. The press itself is stored; for its sensitivities, try a smaller push")
+        raise SimulateError(f"{unvaried}. The press itself is stored; to compute its sensitivities, try a smaller push")
 
 
 def _answered(
@@ -248,7 +250,10 @@ def _answered(
         opened = SurrogateFinger(taught, limit_rel)
         pressed, bars, notes, doubt = opened.press_as_designed(design, arguments.increments or DEFAULT_INCREMENTS)
     if doubt:
-        warn(f"{arguments.surrogate}: the surrogate is not used: {doubt}; finite elements compute the press now")
+        warn(
+            f"{arguments.surrogate}: the surrogate is not used, because {doubt}; finite elements compute the press "
+            "instead"
+        )
         return False
     mechanics, surfaces = press_records(design, pressed, taught.preset, taught.label, notes)
     mechanics = mechanics.model_copy(update={"surrogate": bars})
@@ -354,7 +359,7 @@ def _store(
     _write(mechanics, surfaces, pressed, files, origin, folder)
     if pressed.crossing:
         remedy = "press with --contact barrier, or less deeply" if pressed.motion is None else "push less on the path"
-        warn(f"warning: {pressed.crossing}; its results from there on are not physical: {remedy}")
+        warn(f"warning: {pressed.crossing}; the results from there on are not physical. To avoid this, {remedy}")
     if pressed.unstable:
         warn(f"warning: {pressed.unstable}; press in smaller increments to see whether this warning remains")
     if mechanics.motion is None:
@@ -362,14 +367,15 @@ def _store(
     if mechanics.unreached:
         if mechanics.motion is not None:
             raise SimulateError(
-                f"the path ended early, after {len(mechanics.depth_mm)} increments: {mechanics.unreached}. What was "
-                "reached is stored"
+                f"the path ended early, after {len(mechanics.depth_mm)} increments: {mechanics.unreached}. The "
+                "increments reached so far are stored"
             )
         reached = f"{mechanics.depth_mm[-1]:.4g} of {design.indenter.depth_mm:g} mm"
         if mechanics.wanted_force_n is not None:
             reached = f"{mechanics.force_n[-1, 1]:.4g} of {mechanics.wanted_force_n:g} N"
         raise SimulateError(
-            f"the push ended early, at {reached}: {mechanics.unreached}. What was reached is stored and can be rendered"
+            f"the push ended early, at {reached}: {mechanics.unreached}. The increments reached so far are stored and "
+            "can be rendered"
         )
 
 
@@ -496,17 +502,18 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = jobs.add_parser("press", help=PRESS_HELP, description=PRESS_DESCRIPTION)
     parser.add_argument("design", type=Path, metavar="DESIGN", help="finger design (TOML)")
     parser.add_argument(
-        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default {DEFAULT_INCREMENTS})"
+        "--increments", type=increment_count, metavar="N", help=f"steps of the push (default: {DEFAULT_INCREMENTS})"
     )
     parser.add_argument(
         "--force", type=number_within("a force in N", (0.0, LARGEST_FORCE_N), above=True), metavar="NEWTON",
-        help="press until the indenter pushes with this force, frictionless, in place of the design's depth_mm",
+        help="press until the indenter pushes with this force in N, without friction, instead of to the design's "
+             "depth_mm",
     )  # fmt: skip
     parser.add_argument(
         "--path", type=Path, metavar="CSV",
-        help="move the indenter along the poses of a file in place of the design's path or depth_mm: columns "
-        "across_mm, push_mm, along_mm, turn_x_deg, turn_y_deg, turn_z_deg and increments, from first touch; with the "
-        "design's friction",
+        help="move the indenter along the poses of a CSV file, from first touch and with the design's friction, "
+             "instead of the design's path or depth_mm; columns: across_mm, push_mm, along_mm, turn_x_deg, "
+             "turn_y_deg, turn_z_deg and increments",
     )  # fmt: skip
     parser.add_argument(
         "--resume", type=Path, metavar="INCREMENT",
@@ -514,13 +521,13 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--budget", type=number_within("a processor time in s", (0.0, LARGEST_BUDGET_S), above=True), metavar="SECONDS",
-        help="end the press before it takes more than this processor time (all threads "
-        "together); the increments up to there are kept, with a picture, and the exit status is 2",
+        help="end the press before it takes more than this processor time in s (all threads together); the "
+             "increments up to there are kept, with a picture, and the exit status is 2",
     )  # fmt: skip
     parser.add_argument(
         "--contact", choices=["auto", "penalty", "barrier"], default="auto",
-        help="penalty contact (fast), barrier contact (also between ribs) or auto (default: penalty, and barrier "
-            "where ribs meet)",
+        help="contact method: penalty (fast), barrier (also between ribs) or auto (default: penalty, and barrier "
+             "where ribs meet)",
     )  # fmt: skip
     parser.add_argument(
         "--sensitivities", action="store_true",
@@ -529,7 +536,7 @@ def add_press(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )  # fmt: skip
     parser.add_argument(
         "--engine", choices=["auto", "calculix"], default="auto",
-        help="auto (default): finray's own elements; calculix: the program CalculiX",
+        help="finite elements to use: finray's own (auto, the default) or those of the program CalculiX (calculix)",
     )  # fmt: skip
     _add_surrogate(parser)
     add_out(parser, "NAME.mechanics.json, with the other files beside it")
@@ -540,8 +547,8 @@ def _add_surrogate(parser: argparse.ArgumentParser) -> None:
     """Add what lets a surrogate answer."""
     parser.add_argument(
         "--surrogate", type=Path, metavar="FILE",
-        help="compute the press by a surrogate that 'finray simulate teach' made, with error bars; finite "
-            "elements are used where its bars are too large",
+        help="compute the press with error bars by a surrogate that 'finray simulate teach' made; finite elements "
+             "are used where the error bars are too large",
     )  # fmt: skip
     parser.add_argument(
         "--largest-error", type=number_within("a share (0.1 is 10 %)", (0.0, 1.0), above=True), metavar="SHARE",
@@ -552,7 +559,7 @@ def _add_surrogate(parser: argparse.ArgumentParser) -> None:
 
 def _long_press(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    kept = "Finished increments are kept: the same command continues after the last one"
+    kept = "Finished increments are kept, and the same command continues after the last one"
     moved = arguments.path is not None or _has_path(arguments.design)
     if arguments.force is not None or moved or arguments.engine == "calculix":
         kept = "Nothing is stored before the end, so the same command starts from the beginning"
@@ -586,18 +593,20 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
             f"--surrogate, or {_all_of(clash)}"
         )
     if arguments.largest_error is not None and arguments.surrogate is None:
-        raise SimulateError("--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out")
+        raise SimulateError(
+            "--largest-error applies only to a surrogate; add --surrogate FILE, or leave --largest-error out"
+        )
     if calculix and arguments.contact != "auto":
         raise SimulateError("--contact: CalculiX has its own contact method; leave out --contact or --engine calculix")
     if forced and others:
         raise SimulateError(
-            "--force presses from first touch with penalty contact and finray's own elements, and computes no "
+            "--force works only from first touch, with penalty contact and finray's own elements, and without "
             f"sensitivities; leave out --force, or {_all_of(others)}"
         )
     if path and (clash := own + others):
         raise SimulateError(
-            f"{path} moves the indenter along given poses from first touch, with penalty contact and finray's own "
-            f"elements, without sensitivities; leave out {path}, or {_all_of(clash)}"
+            f"{path} moves the indenter along given poses, which works only from first touch, with penalty contact "
+            f"and finray's own elements, and without sensitivities; leave out {path}, or {_all_of(clash)}"
         )
     if arguments.sensitivities and calculix_or_resumes:
         raise SimulateError(
@@ -606,11 +615,13 @@ def _require_one_way(arguments: argparse.Namespace, path: str) -> None:
         )
     if arguments.budget is not None and (calculix or arguments.sensitivities):
         raise SimulateError(
-            "--budget is for one press with finray's own elements; leave out --budget, or "
-            f"{'--engine calculix' if calculix else '--sensitivities'}"
+            "--budget works only for a single press with finray's own elements; leave out --budget, or "
+            f"{('--engine calculix' if calculix else '--sensitivities')}"
         )
     if calculix and resumes:
-        raise SimulateError("--resume: CalculiX presses from first touch; leave out --resume, or --engine calculix")
+        raise SimulateError(
+            "--resume: CalculiX can only press from first touch; leave out --resume, or --engine calculix"
+        )
 
 
 def _all_of(options: list[str]) -> str:
@@ -638,12 +649,12 @@ def warn_of_few_nodes(pressed: "PressedFinger", mechanics: "PressMechanics") -> 
     if force_n <= 0.0:
         raise SimulateError(
             f"at a push of {push_mm:.4g} mm the indenter touches no node of the coat, whose elements are {step_mm:g} "
-            f"mm wide: the force of {force_n:.3g} N comes from the mesh, not from the finger; {remedy}. What was "
+            f"mm wide, so the force of {force_n:.3g} N comes from the mesh, not from the finger; {remedy}. What was "
             "computed is stored"
         )
     short = chord_shortfall_rel(mechanics.design, mechanics.preset, push_mm)
     if short > LARGEST_UNTOLD_REL:
         warn(
-            f"warning: the coat's elements of {step_mm:g} mm are wide for this indenter and push of {push_mm:.4g} mm: "
-            f"at this push the force is some {100 * short:.0f} % too low; {remedy}"
+            f"warning: the coat's elements of {step_mm:g} mm are too wide for this indenter at a push of {push_mm:.4g} "
+            f"mm, so the force there is some {100 * short:.0f} % too low; {remedy}"
         )

@@ -75,7 +75,7 @@ def add_study(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     for colour in ("red", "green"):
         paints.add_argument(
             f"--{colour}", type=Path, action="append", default=[], metavar="CSV",
-            help=f"measured matrix that stands for the {colour} paint; may be given several times",
+            help=f"measured matrix to use as the {colour} paint (repeatable)",
         )  # fmt: skip
     add_out(paints, "paper-paints, a folder")
     add_seed(paints)
@@ -91,9 +91,9 @@ def _long_work(arguments: argparse.Namespace) -> "LongWork":
 
     kept = "Nothing is stored before the end, so the same command starts from the beginning"
     if arguments.study == "run":
-        return LongWork("the design study", "Finished points are kept: the same command continues with the others")
+        return LongWork("the design study", "Finished points are kept, and the same command continues with the others")
     if arguments.study == "dataset":
-        kept = "Finished shards are kept: the same command continues with the others"
+        kept = "Finished shards are kept, and the same command continues with the others"
         return LongWork("the data set", kept, arguments.out)
     return LongWork(f"the study {arguments.study}", kept, getattr(arguments, "out", None))
 
@@ -375,7 +375,7 @@ def add_stiffness_study(studies: "argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument("designs", nargs="+", metavar="DESIGN", help="finger design (TOML), or the name of a preset")
     parser.add_argument(
         "--vary", type=number_within("a change in per cent", (0.0, 50.0)), default=20.0, metavar="PERCENT",
-        help="change of the assumed dimensions, 0 to 50 (default 20); 0 leaves them unchanged",
+        help="change of the assumed dimensions in per cent, 0 to 50 (default: 20); 0 leaves them unchanged",
     )  # fmt: skip
     add_out(parser, f"{STIFFNESS_NAME}, a folder")
     parser.set_defaults(run=run_stiffness_study)
@@ -432,8 +432,8 @@ def _over_assumptions(study: "FingerStiffness", order: "StiffnessOrder") -> str:
         return "; no dimension was changed"
     holds = "holds" if order.smallest_ratio > 1.0 else f"does not hold ({order.at})"
     return (
-        f"; with an assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and "
-        f"the order {holds}; with independent changes the ratio is at least {order.independent_ratio:.3f}"
+        f"; with the same assumed dimension changed in both, the ratio is at least {order.smallest_ratio:.3f} and the "
+        f"order {holds}; with independent changes, the ratio is at least {order.independent_ratio:.3f}"
     )
 
 

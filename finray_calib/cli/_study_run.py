@@ -140,7 +140,9 @@ def _add_workers(parser: argparse.ArgumentParser) -> None:
     """Add who computes."""
     workers = "worker processes (default: by cores and memory)"
     parser.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help=workers)
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="compute on the workers of this Dask scheduler instead")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler whose workers compute instead"
+    )
 
 
 def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -151,27 +153,28 @@ def _add_dataset(studies: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--presses", type=whole_number(1, 1_000_000), default=100, metavar="N", help="presses (default: 100)"
     )
     made.add_argument("--shape", action="append", choices=["ball", "cylinder"],
-                      help="shape of the indenter; may be given twice (default: ball)")  # fmt: skip
+                      help="shape of the indenter (repeatable; default: ball)")  # fmt: skip
     for name, range_mm, what in (("radius", (3.0, 10.0), "indenter's radius"), ("depth", (0.3, 2.0), "push")):
         made.add_argument(f"--{name}-mm", type=float, nargs=2, metavar=("LOW", "HIGH"), default=range_mm,
-                          help=f"range of the {what} (default: {range_mm[0]:g} {range_mm[1]:g})")  # fmt: skip
+                          help=f"range of the {what} in mm (default: {range_mm[0]:g} {range_mm[1]:g})")  # fmt: skip
     made.add_argument("--press", choices=["analytic", "finite elements"], default="analytic",
-                      help="finite elements give the force, but take longer (default: analytic)")  # fmt: skip
+                      help="how to compute the press; finite elements give the force, but take longer (default: "
+                           "analytic)")  # fmt: skip
     made.add_argument("--lights", type=whole_number(1, 1000), default=2, metavar="N",
-                      help="draws of the light for each press (default: 2)")  # fmt: skip
+                      help="number of draws of the light for each press (default: 2)")  # fmt: skip
     made.add_argument("--light-angle-deg", type=float, default=5.0, metavar="REACH",
-                      help="largest turn of the panels from their angle in the design (default: 5)")  # fmt: skip
+                      help="largest turn of the panels in deg from their angle in the design (default: 5)")  # fmt: skip
     made.add_argument("--paints", type=whole_number(1, 1000), default=4, metavar="N",
-                      help="draws of the paints for each light (default: 4)")  # fmt: skip
+                      help="number of draws of the paints for each light (default: 4)")  # fmt: skip
     made.add_argument("--emission-ratio", type=float, default=1.25, metavar="R",
-                      help="paints without a posterior: their emission is multiplied by 1/R to R (default: "
-                          "1.25)")  # fmt: skip
+                      help="largest factor R for paints without a posterior, whose emission is multiplied by 1/R to "
+                           "R (default: 1.25)")  # fmt: skip
     made.add_argument("--size", type=_size, metavar="COLUMNSxROWS",
                       help="size of the pictures, one pixel for each Bayer cell (default: "
                            "the design's camera)")  # fmt: skip
     made.add_argument("--samples", type=path_count, default=32, metavar="N", help="paths per pixel (default: 32)")
     made.add_argument("--presses-per-shard", type=whole_number(1, 100_000), default=10, metavar="N",
-                      help="presses in a shard (default: 10)")  # fmt: skip
+                      help="number of presses in a shard (default: 10)")  # fmt: skip
     add_paint(made)
     add_paints_as_given(made)
     add_engine(made, is_scalar_enough=False)
@@ -220,15 +223,15 @@ def run_design_study(arguments: argparse.Namespace) -> None:
     with progress_bar(f"study {plan.name}") as progress:
         found, failures = run_study(task, points, arguments.workers, arguments.scheduler, progress)
     if not found:
-        raise SimulateError(f"{path}: no point could be computed; the first failed because: {failures[0].reason}")
+        raise SimulateError(f"{path}: no point could be computed. The first error is: {failures[0].reason}")
     result = _result(task, found, failures)
     _store(out, result, found, origin)
     _tell(result)
     other = "; ".join(f"{n} by {code}" for code, n in points_by_code(result).items() if code != origin.code)
     if other:
         warn(
-            f"points computed by other code than this ({origin.code}) are kept: {other}. Give --renew to compute "
-            "them again"
+            f"points computed by other code than the present code ({origin.code}) are kept: {other}. Give --renew to "
+            "compute them again"
         )
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
     suggest_file(out / PAGE_NAME)
@@ -292,7 +295,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
     with progress_bar("data set") as progress:
         kept, failures = run_dataset(task, shards, arguments.workers, arguments.scheduler, progress)
     if not any(shard.samples for shard in kept):
-        raise SimulateError(f"no press could be computed; the first failed because: {failures[0].reason}")
+        raise SimulateError(f"no press could be computed. The first error is: {failures[0].reason}")
     _store_dataset(task, out, arguments.presses, kept, failures)
 
 
@@ -533,9 +536,9 @@ def compare_studies(arguments: argparse.Namespace) -> None:
     differences = study_differences(first, second)
     if not differences:
         raise RecordError(
-            f"{arguments.first}, {arguments.second}: the two studies share no number of any point; the first "
-            f"changes {', '.join(first.varied)}, the second {', '.join(second.varied)}. Give two studies whose "
-            "plans share points"
+            f"{arguments.first}, {arguments.second}: the two studies have no result of a point in common, because the "
+            f"first changes {', '.join(first.varied)} and the second {', '.join(second.varied)}; give two studies "
+            "whose plans share points"
         )
     alone = {
         name: [row.changes for row in study.points if row.changes not in [other.changes for other in beside.points]]

@@ -30,7 +30,7 @@ def add_trace(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     """Register the verb."""
     parser = verbs.add_parser("trace", help=TRACE_HELP, description=TRACE_DESCRIPTION)
     parser.add_argument("record", type=Path, metavar="RECORD", help="a stored record (.json)")
-    parser.add_argument("--replay", action="store_true", help="compute it again and compare the numbers")
+    parser.add_argument("--replay", action="store_true", help="compute the record again and compare the numbers")
     parser.set_defaults(run=run_trace)
 
 

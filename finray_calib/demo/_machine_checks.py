@@ -364,7 +364,7 @@ def _way_in(port: Path) -> str:
     except (OSError, KeyError):
         return f"ls -l {_quoted(port)}   (its owner and group may open it)"
     if user in group.gr_mem:
-        return f"log in again: you are in the group {group.gr_name} since your last login"
+        return f"log in again, because you are in the group {group.gr_name} only since your last login"
     return f"sudo usermod --append --groups {group.gr_name} {shlex.quote(user)}   (then log in again)"
 
 

@@ -332,8 +332,8 @@ def _push_phrase(results: DemoResults) -> str:
     if mechanics is None:
         return ""
     return (
-        f"The finger was pressed by {mechanics.label}: {mechanics.force_n[-1, 1]:.2f} N at a push of "
-        f"{mechanics.depth_mm[-1]:g} mm, a force that no measurement has confirmed. "
+        f"The finger was pressed by {mechanics.label}, with a force of {mechanics.force_n[-1, 1]:.2f} N at a push of "
+        f"{mechanics.depth_mm[-1]:g} mm. No measurement has confirmed this force. "
     )
 
 
@@ -527,7 +527,7 @@ def _room_light_preview(folder: Path, colour: Colour, session: CaptureSession) -
     """Return the room-light frame as a small picture, balanced so that the ColorChecker's white patch is white."""
     frame = next((f for f in session.frames if f.frame_type == "room light"), None)
     if frame is None:
-        raise CaptureError(f"session of the {colour} paint: holds no room-light frame")
+        raise CaptureError(f"the session of the {colour} paint has no room-light frame")
     planes = bayer_planes(read_frame_of(folder, frame)) - session.rig.camera.black_level_dn
     height, width = planes.shape[:2]
     white = planes[bench_scene(height, width, seed=0).patch == WHITE_PATCH].mean(axis=0)

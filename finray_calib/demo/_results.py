@@ -113,11 +113,11 @@ class DemoResults:
 
     def __post_init__(self) -> None:
         if set(self.paints) != set(COLOURS):
-            raise RecordError(f"demo results: paints are {sorted(self.paints)}; give exactly 'red' and 'green'")
+            raise RecordError(f"demo results: paints must be exactly 'red' and 'green', got {sorted(self.paints)}")
         if set(self.stage_wall_times_s) != set(STAGES):
             raise RecordError(
-                f"demo results: wall times (s) are given for {sorted(self.stage_wall_times_s)}; give exactly one "
-                f"for each stage: {', '.join(STAGES)}"
+                f"demo results: wall times (s) must be given for each of the stages {', '.join(STAGES)}, got "
+                f"{sorted(self.stage_wall_times_s)}"
             )
 
 
@@ -266,7 +266,7 @@ def assumptions(results: DemoResults) -> tuple[str, ...]:
     if design is not None:
         known = ", ".join(f"{name} ({origin})" for name, origin in sorted(design.origin.items()) if origin != "assumed")
         listed.append(
-            f"Finger {design.name}: known are {known}; every other number is assumed."
+            f"Finger {design.name}: {known} are known, and every other number is assumed."
             if known
             else f"Finger {design.name}: every number is assumed."
         )
@@ -320,6 +320,6 @@ def truth_statement(results: DemoResults) -> str | None:
     best_deg, loss = true_loss(results.true_sweeps, results.decision.angle_deg)
     cost = "nothing measurable" if loss < 0.0005 else percent(loss)
     return (
-        f"On the true finger, which the fit and the decision did not see, the best angle is {best_deg:.0f} deg, "
-        f"and the chosen {results.decision.angle_deg:.0f} deg loses {cost} against it."
+        f"On the true finger, which neither the fit nor the decision saw, the best angle is {best_deg:.0f} deg, and "
+        f"the chosen {results.decision.angle_deg:.0f} deg loses {cost} compared with it."
     )

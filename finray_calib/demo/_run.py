@@ -158,16 +158,19 @@ def _is_free(file: BinaryIO) -> bool:
 def _why_not(out: Path, mine: Mapping[str, Any]) -> str | None:
     """Return why a demo cannot go on in a folder of a demo, or None when it can."""
     if (out / REPORT_PAGE).exists():
-        return f"holds a finished demo already, whose report is {out / REPORT_PAGE}"
+        return f"already contains a finished demo, whose report is {out / REPORT_PAGE}"
     try:
         theirs = read_json(out / SETTINGS)
     except RecordError as error:
-        return f"does not state the settings of its demo ({error})"
+        return f"the settings of its demo cannot be read ({error})"
     if not isinstance(theirs, dict) or theirs.keys() != mine.keys():
         return f"{SETTINGS} was written by another version of finray"
     other = [text for name in mine for text in _differences(name, theirs[name], mine[name])]
     return (
-        (f"holds an unfinished demo with another {', another '.join(other)}, whose files would mix with the new ones")
+        (
+            f"contains an unfinished demo with another {', another '.join(other)}, whose files would mix with the new "
+            "ones"
+        )
         if other
         else None
     )
@@ -429,8 +432,8 @@ class _Processes:
             )
         except ProcessDiedError as died:
             raise ProcessDiedError(
-                f"{stage.words} {died}. Its log is {log}. Finished work is kept: the same command continues there; "
-                "if that fails again, 'finray doctor' lists what this machine lacks"
+                f"{stage.words} {died}. Its log is {log}. Finished work is kept; run the same command again to "
+                "continue. If it fails again, run 'finray doctor' to see what this machine lacks"
             ) from None
         if following is None or following.process != stage.process:
             child.end()

@@ -221,9 +221,8 @@ def draw_candidates(
     if lost.any():
         raise FitError(
             f"absorption: none of {CANDIDATES} shapes of the prior agrees both with the yields under the lights and "
-            f"with an emission maximum at {modes_nm[lost][0]:g} nm; check the other lights' sessions (same paint, "
-            f"laser power) "
-            "or leave them out"
+            f"with an emission maximum at {modes_nm[lost][0]:g} nm; check the sessions of the other lights (same "
+            "paint, correct laser power), or leave them out"
         )
     mean = share @ weight
     effective = int(mean.sum() ** 2 / (mean**2).sum())
@@ -384,8 +383,8 @@ def _modes(draws: Floats, wavelength_nm: Floats, laser_nm: float) -> Floats:
     """Return the wavelength of the maximum of each emission draw above the laser, nm."""
     if draws.ndim != 2 or draws.shape[1:] != wavelength_nm.shape or not np.isfinite(draws).all():
         raise FitError(
-            f"absorption: emission draws have shape {draws.shape} on a grid of {wavelength_nm.shape} wavelengths; the "
-            "draws must be finite and of shape (draws, wavelengths)"
+            "absorption: the emission draws must be finite and of shape (draws, wavelengths), but have shape "
+            f"{draws.shape} on a grid of shape {wavelength_nm.shape}"
         )
     above = np.where(wavelength_nm > laser_nm, draws, 0.0)
     if not (above.max(axis=1, initial=0.0) > 0).all():
@@ -401,15 +400,15 @@ def _relative_to_laser(yields: Sequence[ExcitationYield], laser_nm: float) -> Li
     if not yields or yields[0].excitation_nm != laser_nm:
         first = f"{yields[0].excitation_nm:g} nm" if yields else "missing"
         raise FitError(
-            f"absorption: the first yield must be the laser's at {laser_nm:g} nm, but it is {first}; give the yield "
-            "under the laser first"
+            f"absorption: the first yield must be the yield under the laser at {laser_nm:g} nm, but it is {first}; "
+            "give the yield under the laser first"
         )
     for light in yields:
         if not (light.yield_rel > 0 and 0 < light.sd_rel <= LARGEST_YIELD_SD_REL):
             raise FitError(
-                f"absorption: yield {light.yield_rel:g} with relative uncertainty {light.sd_rel:g} at "
-                f"{light.excitation_nm:g} nm; the yield must be above 0 and its uncertainty within 0 to "
-                f"{LARGEST_YIELD_SD_REL:g}: measure this light longer or leave it out"
+                f"absorption: at {light.excitation_nm:g} nm the yield is {light.yield_rel:g} with relative "
+                f"uncertainty {light.sd_rel:g}, but the yield must be above 0, and its uncertainty above 0 and at "
+                f"most {LARGEST_YIELD_SD_REL:g}; measure this light longer, or leave it out"
             )
     if len({light.excitation_nm for light in yields}) < len(yields):
         raise FitError("absorption: two yields have the same excitation wavelength; average them first")
@@ -444,13 +443,13 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
         if light.paint_name != bands.paint_name:
             raise FitError(
                 f"other lights: one session is of paint {light.paint_name!r}, but the first is of paint "
-                f"{bands.paint_name!r}; give sessions of one paint (the paint_name of their plans)"
+                f"{bands.paint_name!r}; give sessions of one paint (the same paint_name in their plans)"
             )
     lights_nm = [light.optics.laser.wavelength_nm for light in (bands, *other_lights)]
     if len(set(lights_nm)) < len(lights_nm):
         raise FitError(
-            f"other lights: two sessions have the same excitation ({', '.join(f'{nm:g}' for nm in lights_nm[1:])} nm "
-            f"and the first at {lights_nm[0]:g} nm); give one session per light"
+            f"other lights: two sessions have the same excitation wavelength (the first has {lights_nm[0]:g} nm, the "
+            f"others have {', '.join(f'{nm:g}' for nm in lights_nm[1:])} nm); give one session per light"
         )
 
 

@@ -233,8 +233,9 @@ class BandData:
         rows = self.weights.band_index.size
         if self.y.size != rows or self.usable.shape != self.y.shape or self.covariance.shape != (rows, rows):
             raise FitError(
-                f"band data: y {self.y.shape}, usable {self.usable.shape} and covariance {self.covariance.shape} do "
-                f"not fit the rig's {rows} band values; y and usable must be bands x channels"
+                f"band data: y has shape {self.y.shape}, usable {self.usable.shape} and covariance "
+                f"{self.covariance.shape}, which does not fit the {rows} band values of the rig; y and usable must "
+                "have shape (bands, channels)"
             )
         bands = int(self.usable.any(axis=1).sum())
         if bands < LEAST_BANDS:
@@ -256,8 +257,8 @@ class BandData:
             np.linalg.cholesky(measured)
         except np.linalg.LinAlgError:
             raise FitError(
-                "band data: the covariance is not positive definite over the usable entries; give every band "
-                "value a variance of its own (read noise at least)"
+                "band data: the covariance is not positive definite over the usable entries; give every band value "
+                "its own variance (at least the read noise)"
             ) from None
         for name in ("y", "covariance", "usable"):
             object.__setattr__(self, name, read_only(getattr(self, name)))

@@ -132,16 +132,15 @@ def find_colour_checker(linear_rgb: Floats, reference: Floats) -> ColourCheckerP
             "" if best is None else f" (the colours of the best candidate differ by {100 * best[0].mismatch_rel:.0f} %)"
         )
         raise RadiometryError(
-            f"no ColorChecker is found in the frame of {linear_rgb.shape[0]} x {linear_rgb.shape[1]} cells{seen}: the "
-            "whole chart must be in view and unshaded, its patches at least 10 cells (20 px) a side"
+            f"no ColorChecker was found in the frame of {linear_rgb.shape[0]} x {linear_rgb.shape[1]} cells{seen}; "
+            "make sure that the whole chart is in view and unshaded, and its patches at least 10 cells (20 px) wide"
         )
     patches, clipped = best
     if clipped.max() > LARGEST_CLIPPED_FRACTION:
         numbers = ", ".join(str(n + 1) for n in np.flatnonzero(clipped > LARGEST_CLIPPED_FRACTION))
         raise RadiometryError(
-            f"patches {numbers} of the ColorChecker are clipped (at most {100 * LARGEST_CLIPPED_FRACTION:.1f} % of a "
-            f"patch may "
-            "be at full scale); use a shorter exposure"
+            f"patches {numbers} of the ColorChecker are clipped, but at most {100 * LARGEST_CLIPPED_FRACTION:.1f} % "
+            "of a patch may be at full scale; use a shorter exposure"
         )
     return patches
 
@@ -233,8 +232,8 @@ def colour_checker_reflectance(session: CaptureSession, read: ReadFrame, optics:
     frames = [f for f in session.frames if f.frame_type == "room light"]
     if not frames:
         raise FitError(
-            "session.frames: no 'room light' frame; capture the sample beside a ColorChecker in room light, or use the "
-            "reflectance measured under the lamp"
+            "session.frames: the 'room light' frame is missing; capture the sample beside a ColorChecker in room "
+            "light, or use the reflectance measured under the lamp"
         )
     faults = []
     for frame in sorted(frames, key=lambda f: -f.exposure_s):
@@ -265,9 +264,8 @@ def _paint_mean(cells: Floats, session: CaptureSession) -> Floats:
     clipped = float(np.isnan(paint).any(axis=1).mean()) if len(paint) else 1.0
     if clipped > LARGEST_CLIPPED_FRACTION:
         raise RadiometryError(
-            f"the painted region is clipped in {100 * clipped:.1f} % of its cells (at most "
-            f"{100 * LARGEST_CLIPPED_FRACTION:.1f} % is "
-            "allowed); use a shorter exposure"
+            f"the painted region is clipped in {100 * clipped:.1f} % of its cells, but at most "
+            f"{100 * LARGEST_CLIPPED_FRACTION:.1f} % is allowed; use a shorter exposure"
         )
     return np.asarray(np.nanmean(paint, axis=0))
 

@@ -470,8 +470,8 @@ def summarise(draws: NDArray[np.float64]) -> Summary:
     """
     if draws.size < _FEWEST_DRAWS or not np.isfinite(draws).all():
         raise FitError(
-            f"summary: {draws.size} draws, {int((~np.isfinite(draws)).sum())} of them not finite; at least "
-            f"{_FEWEST_DRAWS} finite draws are needed for 95 % limits"
+            f"summary: 95 % limits need at least {_FEWEST_DRAWS} draws, all of them finite, but got {draws.size} "
+            f"draws, {int((~np.isfinite(draws)).sum())} of them not finite"
         )
     low95, low68, median, high68, high95 = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975])
     return Summary(float(median), float(draws.std(ddof=1)), float(low68), float(high68), float(low95), float(high95))

@@ -146,7 +146,8 @@ def filter_catalogue(
     """
     if lacking := [name for name in _COLUMNS if name not in header]:
         raise FitError(
-            f"{origin}: lacks column {', '.join(lacking)}; a catalogue has the columns {', '.join(_COLUMNS)}"
+            f"{origin}: the column {', '.join(lacking)} is missing; a catalogue must have the columns "
+            f"{', '.join(_COLUMNS)}"
         )
     if not rows:
         raise FitError(
@@ -209,9 +210,9 @@ def design_filters(
     offered = [f for f in catalogue if _usable(f, optics)]
     if not 1 <= wanted <= len(offered):
         raise FitError(
-            f"design: {wanted + len(kept)} filters were requested; give {len(kept) + 1} to "
-            f"{len(kept) + len(offered)} (--number): {len(kept)} are kept, and the others come from the "
-            f"{len(offered)} of the catalogue that pass no laser light"
+            f"design: the number of filters must be {len(kept) + 1} to {len(kept) + len(offered)} (--number), but "
+            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} of the catalogue pass no "
+            "laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -321,8 +322,8 @@ def _kept(optics: Optics, keep_nm: Sequence[float]) -> tuple[BandPassFilter, ...
     for nm in keep_nm:
         if nm not in centres:
             raise FitError(
-                f"design: no filter of the rig is centred at {nm:g} nm, so it cannot be kept; the rig has "
-                f"{', '.join(f'{c:g}' for c in centres)} nm"
+                f"design: no filter of the rig is centred at {nm:g} nm, so it cannot be kept; the filters of the rig "
+                f"are centred at {', '.join(f'{c:g}' for c in centres)} nm"
             )
     return tuple(f for f in optics.filters if f.center_nm in keep_nm or f.name == optics.excitation_filter)
 

@@ -104,8 +104,8 @@ class LogPosterior:
         found = self._matrices(PRECISION, theta)
         if not (np.abs(found) < _SINGULAR).all():
             raise FitError(
-                "the covariance of the band values is singular: two values carry the same information without noise of "
-                "their own; state their uncertainties, or leave one of them out"
+                "the covariance of the band values is singular, because two values carry the same information "
+                "without independent noise; state the uncertainties of these values, or leave one of them out"
             )
         return found
 

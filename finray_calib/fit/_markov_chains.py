@@ -212,8 +212,8 @@ class SamplerSettings:
     def __post_init__(self) -> None:
         if self.walkers < LEAST_WALKERS or self.walkers % 2:
             raise FitError(
-                f"sampler: {self.walkers} walkers; must be an even number of at least {LEAST_WALKERS}, twice the "
-                "parameters of the largest model"
+                f"sampler: walkers must be an even number of at least {LEAST_WALKERS}, twice the parameters of the "
+                f"largest model, but is {self.walkers}"
             )
         if not 100 <= self.block_steps <= self.most_steps:
             raise FitError(

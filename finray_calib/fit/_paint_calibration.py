@@ -340,8 +340,8 @@ def _require_energy(energy_yield: Estimate, bands: BandSignals) -> None:
     if energy_yield.low95 > 1.0:
         raise FitError(
             f"'{bands.paint_name}' would emit {energy_yield.estimate:.3g} times the energy of the laser (95 %: at "
-            f"least {energy_yield.low95:.3g}), but no paint emits more energy than falls on it: check the white "
-            "reference under the laser (its level is too low), and whether band signals are in per cent"
+            f"least {energy_yield.low95:.3g}), but no paint emits more energy than falls on it; check whether the "
+            "level of the white reference under the laser is too low, and whether band signals are in per cent"
         )
 
 
@@ -470,8 +470,8 @@ def fit_warnings(
     bad = [r.filter_name for r in bands if not r.explained]
     if bad:
         said.append(
-            f"the model cannot explain filter{'s' if len(bad) > 1 else ''} {', '.join(bad)} (posterior predictive p < "
-            f"{SMALLEST_P:g}): check these frames; the intervals are too narrow"
+            f"the model cannot explain the frames of filter{('s' if len(bad) > 1 else '')} {', '.join(bad)} "
+            f"(posterior predictive p < {SMALLEST_P:g}), so the intervals are too narrow; check these frames"
         )
     maxima = posterior.maxima.log_posterior
     if len(maxima) > 1 and maxima[0] - maxima[1] < _CLOSE_MAXIMA_NATS:
@@ -479,14 +479,15 @@ def fit_warnings(
         said.append(f"the bands do not decide between {len(maxima)} maxima of the posterior, with modes at {modes} nm")
     if not posterior.sampling.trusted:
         said.append(
-            "the sampling cannot be trusted: neither importance sampling nor moved draws nor emcee reached "
+            "the sampling cannot be trusted, because neither importance sampling nor moved draws nor emcee reached "
             "the required quality"
         )
     if check is not None and max(map(abs, check.mean_shift_sd.values())) > LARGEST_CHAIN_SHIFT_SD:
-        said.append("emcee disagrees with the stored draws: do not quote the intervals")
+        said.append("emcee disagrees with the stored draws, so do not quote the intervals")
     if check_asked and check is None:
         said.append(
-            "the check by emcee was left out: emcee itself made the draws, and a second run would not be independent"
+            "the check by emcee was left out, because emcee itself made the draws, and a second run would not be "
+            "independent"
         )
     below = float(np.median(posterior.share_below_laser))
     if below > LARGEST_SHARE_BELOW_LASER:

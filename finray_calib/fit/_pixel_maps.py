@@ -203,8 +203,8 @@ def map_pixels(pixels: PixelSignals, region: RegionFit, spread: PixelSpread) -> 
     fitted = int((status > 0).sum())
     if fitted == 0:
         raise FitError(
-            f"paint map: no pixel of {status.size} has {FEWEST_BANDS} usable bands; check the masks and notes of the "
-            "pixel signals: the laser must reach the painted region, and no exposure may be missing"
+            f"paint map: none of {status.size} pixels has {FEWEST_BANDS} usable bands; check in the masks and notes "
+            "of the pixel signals that the laser reaches the painted region and that no exposure is missing"
         )
     maps = _named_maps(results, region, problem)
     prior_sd = [float(sd) for sd in 1 / np.sqrt(problem.precision)]
@@ -286,14 +286,14 @@ def _require_one_session(pixels: PixelSignals, paint: PaintCalibration) -> None:
     """Refuse pixels and a fit that do not belong together."""
     if pixels.paint_name != paint.paint_name:
         raise FitError(
-            f"paint map: the pixels belong to paint '{pixels.paint_name}', but the fit to paint "
-            f"'{paint.paint_name}'; give the fit of the same session"
+            f"paint map: the pixels are of paint '{pixels.paint_name}', but the fit is of paint '{paint.paint_name}'; "
+            "give the fit of the same session"
         )
     if pixels.optics.model_dump_json() != paint.optics.model_dump_json():
         raise FitError(
-            f"paint map: filters, lights or camera curves of the pixels ({len(pixels.optics.filters)} filters) are not "
-            f"those of the fit ({len(paint.optics.filters)} filters); fit the region of the same session and map with "
-            "that fit"
+            f"paint map: the filters, lights or camera curves of the pixels ({len(pixels.optics.filters)} filters) "
+            f"differ from those of the fit ({len(paint.optics.filters)} filters); fit the region of the same session "
+            "and map with that fit"
         )
 
 

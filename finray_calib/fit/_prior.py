@@ -134,9 +134,9 @@ class EmissionPrior:
         for name in (field.name for field in fields(self)):
             value = getattr(self, name)
             if not np.isfinite(value):
-                raise FitError(f"emission prior: {name} is {value:g}; must be a finite number")
+                raise FitError(f"emission prior: {name} is {value:g}, but must be a finite number")
             if ("_sd" in name or "_median" in name) and value <= 0:
-                raise FitError(f"emission prior: {name} {value:g} must be positive")
+                raise FitError(f"emission prior: {name} is {value:g}, but must be positive")
         if not self.mode_low_nm < self.mode_high_nm:
             raise FitError(
                 f"emission prior: mode_low_nm {self.mode_low_nm:g} nm must be below "

@@ -103,14 +103,13 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
     if not sessions:
         raise FitError("no band signals are given; give those of one session, or of several sessions of one paint")
     if len(sessions) < 2:
-        raise FitError("combined sessions: one session alone has nothing to be combined with; give at least two")
+        raise FitError("combined sessions: only one session is given, but at least two are needed")
     first = sessions[0]
     for number, one in enumerate(sessions[1:], start=2):
         if one.paint_name != first.paint_name:
             raise FitError(
-                f"session {number} is of paint {one.paint_name!r}, but the first is of paint "
-                f"{first.paint_name!r}; give sessions of one paint (the paint_name of their plans), and fit "
-                "other paints by themselves"
+                f"session {number} is of paint {one.paint_name!r}, but the first is of paint {first.paint_name!r}; "
+                "give sessions of one paint (the same paint_name in their plans), and fit other paints separately"
             )
         unlike = [
             name for name in type(first.optics).model_fields
@@ -118,15 +117,14 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
         ]  # fmt: skip
         if "laser" in unlike and one.optics.laser.wavelength_nm != first.optics.laser.wavelength_nm:
             raise FitError(
-                f"session {number} was excited at {one.optics.laser.wavelength_nm:g} nm, the first at "
-                f"{first.optics.laser.wavelength_nm:g} nm: give a session under another light with "
-                "--other-light"
+                f"session {number} was excited at {one.optics.laser.wavelength_nm:g} nm, but the first at "
+                f"{first.optics.laser.wavelength_nm:g} nm; give a session under another light with --other-light"
             )
         if unlike:
             raise FitError(
-                f"session {number} was captured with a rig whose {unlike[0]} differs from that of the first: only "
-                "sessions of one rig can be combined, because the errors of a rig are common to all of its sessions; "
-                "capture with one rig file"
+                f"session {number} was captured with a rig whose {unlike[0]} differs from that of the first session, "
+                "but only sessions of one rig can be combined, because they share the errors of the rig; capture all "
+                "sessions with one rig file"
             )
     _refuse_twice(sessions)
 
@@ -140,16 +138,16 @@ def _refuse_twice(sessions: Sequence[BandSignals]) -> None:
     for number, value in enumerate(values):
         if value in values[:number]:
             raise FitError(
-                f"session {number + 1} holds the same values as session {values.index(value) + 1}: it would count "
-                "twice, and the intervals would be too narrow. Give each session once"
+                f"session {number + 1} contains the same values as session {values.index(value) + 1}, so it would "
+                "count twice and make the intervals too narrow; give each session once"
             )
     files = [_session_files(one) for one in sessions]
     for number, file in enumerate(files):
         earlier = next((other for other in range(number) if file & files[other]), None)
         if earlier is not None:
             raise FitError(
-                f"sessions {earlier + 1} and {number + 1} were reduced from the same captured session: it would count "
-                "twice, and the intervals would be too narrow. Give each session once, reduced one way"
+                f"sessions {earlier + 1} and {number + 1} were reduced from the same captured session, which would "
+                "count twice and make the intervals too narrow; give each session once, reduced in one way"
             )
 
 

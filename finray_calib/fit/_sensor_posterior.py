@@ -135,8 +135,8 @@ def picture_blocks(pictures: Floats, variance: Floats, on_pad: NDArray[np.bool_]
     good = np.bincount(at, usable, len(count)) >= _LEAST_SEEN * np.maximum(count, 0.5 * side.prod())
     if good.sum() < _FEWEST_BLOCKS:
         raise FitError(
-            f"only {int(good.sum())} blocks of the pad's picture are seen and not clipped; at least {_FEWEST_BLOCKS} "
-            "are needed: capture with a shorter exposure, or check the camera of the design"
+            f"only {int(good.sum())} blocks of the pad's picture are seen and not clipped, but at least "
+            f"{_FEWEST_BLOCKS} are needed; capture with a shorter exposure, or check the camera of the design"
         )
     kept = usable & good[at]
     block = (np.cumsum(good) - 1)[at[kept]]
@@ -379,8 +379,8 @@ def _tangent(predict: Predict, blocks: PictureBlocks, point: Floats, steps: Floa
     at, half = predict(point)
     if not np.isfinite(at).all() or not (at > 0.0).any():
         raise FitError(
-            "the model of the sensor predicts no light in these pictures: check light and camera of the "
-            "design; noisy renders can be another cause: give more --samples"
+            "the model of the sensor predicts no light in these pictures; check light and camera of the design, or "
+            "give more --samples in case the renders are too noisy"
         )
     slopes = np.empty((2, len(at), len(point)))
     for k, step in enumerate(steps):

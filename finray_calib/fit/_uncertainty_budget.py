@@ -132,8 +132,8 @@ def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 
     """
     if paint.spectrum_from != MEASURED_SPECTRA_TITLE:
         raise FitError(
-            f"'{paint.paint_name}': its spectrum comes from {paint.spectrum_source}, and a "
-            f"budget needs the prior learned from measured spectra; fit it without --family and --no-discrepancy"
+            f"'{paint.paint_name}': the spectrum comes from {paint.spectrum_source}, but a budget needs the prior "
+            "learned from measured spectra; fit the paint without --family and --no-discrepancy"
         )
     with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small
         return _budget(bands, band_data(bands), paint, np.random.default_rng(seed))
@@ -177,9 +177,10 @@ def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> 
         stored, again = paint.parameters[name], quantities[name]
         if abs(float(np.median(again)) - stored.estimate) > _SAME_SD * stored.sd:
             raise FitError(
-                f"'{paint.paint_name}': these band signals do not reproduce this calibration ({name} "
-                f"{float(np.median(again)):.6g}, the record has {stored.estimate:.6g}), so no budget can be made "
-                f"from them; give the band signals that it was fitted to, or fit them again if an earlier version did"
+                f"'{paint.paint_name}': these band signals do not reproduce this calibration ({name} is "
+                f"{float(np.median(again)):.6g}, but {stored.estimate:.6g} in the record), so no budget can be made "
+                "from them; give the band signals to which the calibration was fitted, or fit them again if an "
+                "earlier version did"
             )
 
 

@@ -126,8 +126,8 @@ class Tracer:
         """
         if folder_at(path) is not None:
             raise RecordError(
-                f"{path}: is a folder or a zip archive; 'finray verify' checks folders. Here give the path of "
-                f"{A_RECORD}"
+                f"{path}: is a folder or a zip archive; give the path of {A_RECORD}, or check a folder with 'finray "
+                "verify'"
             )
         if not path.exists() and not has_file(path):
             raise RecordError(f"{path}: no such file; give the path of {A_RECORD}")
@@ -339,7 +339,7 @@ def verify_folder(folder: Path) -> FolderCheck:
     """
     inside = folder_at(folder)
     if inside is None:
-        what = "is a file; 'finray trace' checks a record. Here" if folder.exists() else "no such folder;"
+        what = "is a file, not a folder (check a record with 'finray trace');" if folder.exists() else "no such folder;"
         raise RecordError(f"{folder}: {what} give the folder of a session or of products, or a zip archive of one")
     folder = inside
     tracer, records = Tracer(), list[Traced]()
@@ -489,7 +489,10 @@ def replay(tree: Traced) -> Replayed:
         )
         if done.returncode:
             said = done.stderr.strip().splitlines()
-            raise RecordError(f"{path}: its command fails now: {said[-1] if said else f'status {done.returncode}'}")
+            raise RecordError(
+                f"{path}: the command that made this record now fails: "
+                f"{(said[-1] if said else f'status {done.returncode}')}"
+            )
         again = read_record(_same_product(folder, path, tree.kind), KINDS[tree.kind])
     compared = compare(tree.kind, record.model_dump(exclude={"provenance"}), again.model_dump(exclude={"provenance"}))
     return replace(compared, differences=(*compared.differences, *_otherwise(record.provenance, again.provenance)))
@@ -511,10 +514,10 @@ def _words(path: Path, provenance: Provenance | None) -> tuple[str, ...]:
     """Return the words of the command that made a record."""
     words = None if provenance is None else provenance.arguments
     if words is None:
-        raise RecordError(f"{path}: holds no finray command, so that it cannot be computed again")
+        raise RecordError(f"{path}: contains no finray command, so it cannot be computed again")
     if words[0] not in REPLAYED:
         raise RecordError(
-            f"{path}: was made by 'finray {words[0]}', which cannot be done again; --replay is for records of "
+            f"{path}: was made by 'finray {words[0]}', which cannot be repeated; --replay supports only records of "
             f"{', '.join(REPLAYED)}"
         )
     return words
@@ -563,7 +566,8 @@ def _same_product(folder: Path, path: Path, kind: str) -> Path:
     made = [file for file in sorted(folder.rglob("*.json")) if _kind_of(file) == kind]
     if not made:
         raise RecordError(
-            f"{path}: its command does not make a {kind} in this version of finray; another version made it"
+            f"{path}: the command of this record does not make a {kind} in this version of finray; another version "
+            "made it"
         )
     return max(made, key=likeness)
 

@@ -105,7 +105,7 @@ def test_files_that_were_changed_since_are_refused(measured, tmp_path, capsys):
         assert main(["certificate", str(measured / "red.paint.json"), "--out", str(tmp_path / "a.html")]) == 2
     finally:
         frame.write_bytes(whole)
-    assert "a certificate needs files that are unchanged since they were written" in capsys.readouterr().err
+    assert "a certificate needs files that have not changed since they were written" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

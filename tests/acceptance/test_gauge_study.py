@@ -172,8 +172,8 @@ def test_command_on_calibrations(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("sample,value\nA,1\n", "needed are sample, session, and paint or value"),
-        ("sample,session,value\nA,1,\n", "line 2: give sample, session and value"),
+        ("sample,value\nA,1\n", "must name the columns sample, session, and paint or value"),
+        ("sample,session,value\nA,1,\n", "line 2: an entry is missing; give sample, session and value"),
         ("sample,session,value\nA,1,nan\n", "not a finite number"),
         ("sample,session,value\nA,1,1\n", "it needs two samples"),
         ("sample,session,paint\nA,1,no.json\n", "no.json"),

@@ -384,7 +384,7 @@ def test_command_captures_by_the_kind_of_the_plan(files: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"camera"', '"tactil"', "'kind' is 'tactil'; it must be one of 'paint', 'camera'"),
+        ('"camera"', '"tactil"', "'kind' must be one of 'paint', 'camera', 'tactile', but is 'tactil'"),
         ('"532"', '"533"', "plan.toml: plan.filter_name: the rig has no filter '533'"),
         ("repeats = 0", "levels = 9", "'levels': must be at least 10, got 9"),
         ("repeats = 0", "repeat = 0", "'repeat': unknown key; did you mean 'repeats'?"),

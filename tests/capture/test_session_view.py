@@ -341,8 +341,8 @@ def test_what_pages_may_not_ask_of_a_session(small, short, command):
 
 @pytest.mark.parametrize(
     ("words", "reason"),
-    [("", "give --rig to see"), ("--plan plan.toml", "give the --rig on which"),
-     ("--rig r --out o", "belong to a session"),
+    [("", "give --rig to see"), ("--plan plan.toml", "--rig is missing; give the rig on which"),
+     ("--rig r --out o", "are only for a session"),
      ("--resume s --plan plan.toml", "leave out --plan, --rig"), ("--plan p --rig r --terminal", "is not a terminal")],
 )  # fmt: skip
 def test_commands_that_are_none(words, reason, capsys):
@@ -625,7 +625,7 @@ def test_a_session_outlives_its_terminal_and_its_page(files, captured_short):
         second = [*command(files)[:4], "--resume", f"{files}/out"]
         refused = subprocess.run(second, cwd=ROOT, capture_output=True, text=True, check=False)
         assert refused.returncode == 2
-        assert f"the view of its session is open already, at {Page(files).url}" in refused.stderr
+        assert f"the view of this session is already open at {Page(files).url}" in refused.stderr
         terminal.close_window()
         told = Page(files).until(lambda t: t["question"])
         assert told["headline"] == "SAMPLE + CHECKER"

@@ -203,7 +203,7 @@ def test_like_is_refused(tmp_path):
     rig_of(tmp_path)
     outcome = finray(f"capture {tmp_path}/tactile.toml --rig {tmp_path}/rig.toml --like {tmp_path}")
     assert outcome.status == 2
-    assert "--like is for plans of kind 'paint'" in outcome.err
+    assert "--like is supported only for plans of kind 'paint'" in outcome.err
 
 
 def test_folder_in_use_is_refused(sensor, tmp_path):

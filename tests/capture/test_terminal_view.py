@@ -272,7 +272,7 @@ def test_where_there_is_no_terminal(path, capsys, monkeypatch):
                       PYTHONPATH=str(ROOT), TERM="dumb" if reason else "xterm") as terminal:  # fmt: skip
             assert terminal.status() == 2
             told = " ".join(terminal.screen.bare_text.split())
-            assert (reason or "it takes neither --json nor --quiet; leave them out") in told
+            assert (reason or "cannot be combined with --json or --quiet") in told
 
 
 def test_a_frame_under_way_when_settings_change_is_not_the_best(rig, tmp_path):

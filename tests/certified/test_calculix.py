@@ -155,7 +155,7 @@ def test_the_verb_presses_with_calculix(tmp_path, monkeypatch):
     ("options", "match"),
     [
         ("--engine llvm", "argument --engine: invalid choice: 'llvm' (choose from"),
-        ("--engine calculix --resume {file}", "--resume: CalculiX presses from first touch"),
+        ("--engine calculix --resume {file}", "--resume: CalculiX can only press from first touch"),
     ],
 )
 def test_mistakes_of_the_verb(tmp_path, options, match):

@@ -246,7 +246,7 @@ CASES = (
     ),
     Case("path with spaces", "capture a plan.toml", r"does not take plan\.toml; put a path with spaces in quotes; "),
     # curves
-    Case("no rig given", "capture {lab}/plan.toml", r"give a PLAN and its --rig, or --resume with the folder"),
+    Case("no rig given", "capture {lab}/plan.toml", r"PLAN or --rig is missing; give both, or --resume with"),
     Case("no curve file", BAD_RIG, r"no\.csv: no such file", edited("rig.toml", '"assumed"\n', '"no.csv"\n')),
     Case(
         "unsorted wavelengths",
@@ -320,12 +320,12 @@ CASES = (
     Case(
         "map with a family",
         "fit {lab}/bands.json --map --paint {paints}/red/paint.json --family skew_t",
-        r"--family: applies to the fit of the region",
+        r"--family cannot be combined with --map",
     ),
     Case(
         "region's fit without map",
         "fit {lab}/bands.json --paint {paints}/red/paint.json",
-        r"--paint: names the fit of the region from which --map starts",
+        r"--paint is supported only with --map, which starts from",
     ),
     Case(
         "record is a folder",
@@ -343,9 +343,13 @@ CASES = (
     Case(
         "folder for a record",
         "trace {lab}",
-        r"lab\S*: is a folder or a zip archive; 'finray verify' checks folders\. Here give the path",
+        r"lab\S*: is a folder or a zip archive; give the path of .*'finray verify'",
     ),
-    Case("record for a folder", "verify {lab}/bands.json", r"bands\.json: is a file; 'finray trace' checks a record"),
+    Case(
+        "record for a folder",
+        "verify {lab}/bands.json",
+        r"bands\.json: is a file, not a folder \(check a record with 'finray trace",
+    ),
     Case(
         "study that is none", "study show {lab}", r"holds no study\.json; give the folder that 'finray study run' wrote"
     ),
@@ -572,7 +576,7 @@ CASES = (
     Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
-        r"design: 0 filters were requested; give 2 to 72 \(--number\): 1 are kept, and the others come from the 71",
+        r"design: the number of filters must be 2 to 72 \(--number\), but 0 were requested; 1 are kept, and 71",
     ),
     Case(
         "columns of pairs",
@@ -614,14 +618,14 @@ CASES = (
     Case(
         "no paint",
         "simulate render {lab}/finger.toml --engine scalar",
-        r"no paint for the red wall: give --paint red=FILE and",
+        r"the red wall has no paint; give --paint red=FILE and",
     ),
     Case(
         "angles in radians",
         SWEEP + " --angles 0:2.09:0.5",
         r"--angles: 5 angles of the light from 0 to 2 deg span less than 4 deg: in radians .*--narrow-sweep",
     ),
-    Case("only the red paint", SIMULATE, r"no paint for the green wall: give --paint red=FILE and --paint green=FILE"),
+    Case("only the red paint", SIMULATE, r"the green wall has no paint; give --paint red=FILE and --paint green=FILE"),
     Case(
         "two red paints",
         BOTH + " --paint red={lab}/no.json",
@@ -687,7 +691,7 @@ CASES = (
     Case(
         "largest error of no surrogate",
         MECHANICS + " --largest-error 0.1",
-        r"--largest-error: applies to a surrogate only; give --surrogate FILE, or leave it out",
+        r"--largest-error applies only to a surrogate; add --surrogate FILE, or leave --largest-error out",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
@@ -777,7 +781,7 @@ CASES = (
     Case(
         "9DTact sensor that predicts itself",
         "import 9dtact {tmp}/s --predict-from {tmp}/./s",
-        r"a sensor's own table was made from its own presses, .*; give the folder of another sensor",
+        r"is the same sensor, .*; give the folder of another sensor",
         design(""),
     ),
     Case(
@@ -843,11 +847,11 @@ CASES = (
         r"indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
         edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
     ),
-    Case("place off the pad", SWEEP + " --angles 0:90:30 --positions 8,90", r"90 mm is not on the pad, .* 0 to 70 mm"),
+    Case("place off the pad", SWEEP + " --angles 0:90:30 --positions 8,90", r"90 mm is not on the pad; .* below 70 mm"),
     Case(
         "places of one press",
         SWEEP + " --angles 0:90:30 --positions 8,20 --surfaces {lab}/finger.toml",
-        r"--positions are for presses by a formula, but --surfaces hold a press at one place: sweep each with its own",
+        r"--positions works only for presses by a formula, but --surfaces is a press at one place; sweep each",
     ),
     # compare and decide
     Case(
@@ -985,7 +989,7 @@ CASES = (
     Case(
         "empty study of a gauge",
         "check gauge-rr {tmp}/study.csv",
-        r"the columns of the header are missing; needed are sample, session, and paint or value",
+        r"must name the columns sample, session, and paint or value .* its columns are missing",
         file("study.csv", ""),
     ),
     Case(
@@ -999,9 +1003,7 @@ CASES = (
         "design export digit",
         r"digit: is a ready-made classic sensor, but a finger is needed",
     ),
-    Case(
-        "folder without pictures of a board", "sense scale {lab}", r": holds no tactile session \(session\.json\); give"
-    ),
+    Case("folder without pictures of a board", "sense scale {lab}", r": contains no tactile session \(session\.json"),
     Case(
         "finger for a rig",
         "rig show {tmp}/finger.toml",
@@ -1040,9 +1042,9 @@ USAGE = (
         "paint without file", "simulate render {lab}/finger.toml --paint red", r"'red' must be red=FILE or green=FILE"
     ),
     Case("angles in words", SWEEP + " --angles all", r"'all' must be FIRST:LAST:STEP in deg, for example 0:120:10"),
-    Case("angles backwards", SWEEP + " --angles 120:0:10", r"'120:0:10': needs -90 <= FIRST < LAST <= 180 deg"),
-    Case("angles too near", SWEEP + " --angles 0:120:1e-9", r"needs .* and a STEP of 0\.5 deg to LAST - FIRST"),
-    Case("angles that are NaN", SWEEP + " --angles nan:nan:nan", r"'nan:nan:nan': needs -90 <= FIRST < LAST"),
+    Case("angles backwards", SWEEP + " --angles 120:0:10", r"'120:0:10': must have -90 <= FIRST < LAST <= 180 deg"),
+    Case("angles too near", SWEEP + " --angles 0:120:1e-9", r"must have .* and a STEP from 0\.5 deg to LAST - FIRST"),
+    Case("angles that are NaN", SWEEP + " --angles nan:nan:nan", r"'nan:nan:nan': must have -90 <= FIRST < LAST"),
     Case(
         "places in words",
         SWEEP + " --angles 0:90:30 --positions all",

@@ -54,9 +54,7 @@ def test_folder_that_may_not_be_written_to(places: dict[str, Path], monkeypatch:
     monkeypatch.setattr("os.access", lambda path, mode: False)
     outcome = finray("fit {lab}/bands.json --out {tmp}/below/paint.json".format(**places))
     assert outcome.status == 2
-    assert re.search(
-        r"below/paint\.json: cannot be written, because the folder \S+ does not allow it; cho", outcome.err
-    )
+    assert re.search(r"below/paint\.json: cannot be written, because the folder \S+ is not writable; cho", outcome.err)
 
 
 def test_capture_that_is_too_bright_says_what_to_do(places: dict[str, Path]) -> None:

@@ -95,8 +95,8 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("set --teach 7", "--teach 7: must be 1 to 4: there are 5 presses, and the simulator is judged on those"),
-        ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS go together; give both"),
+        ("set --teach 7", "--teach 7: must be 1 to 4 for 5 presses; the simulator is judged on the presses"),
+        ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS must be given together; give both"),
         ("nowhere", "nowhere: no such folder; give the folder"),
         (
             "set --teach 2 --simulator mine --command 'no-such-program {judge}'",
@@ -104,7 +104,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         ),
         (
             f"set --teach 2 --simulator mine --command '{sys.executable} -c \"raise SystemExit(3)\"'",
-            "ended with status 3",
+            "failed with exit status 3",
         ),
         (
             f"set --teach 2 --simulator mine --limit-s 0.2 --command '{sys.executable} -c \"import time; "
@@ -138,7 +138,7 @@ def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> 
     Path("simulator.py").write_text(script.replace("renders / press.name", 'renders / ("x" + press.name)'))
     outcome = finray(f"bench tactile set --teach 2 --simulator other --command {command()} --out again")
     assert outcome.status == 2
-    assert "holds x0002, which is not one of the judged presses; render only the presses in" in outcome.err
+    assert "contains x0002, which is not a judged press; render only the presses in" in outcome.err
 
 
 def test_a_run_that_failed_starts_anew_in_the_same_folder_and_spares_what_is_not_its_own(captures: Path) -> None:
@@ -171,7 +171,7 @@ def test_presses_that_are_all_one_image_cannot_be_judged(captures: Path) -> None
     outcome = finray("bench tactile set --teach 1 --out out")
     assert outcome.status == 2
     assert (
-        "no press is left to judge the simulator on: every contact image is one of those used for training; give a set"
+        "no press is left to judge the simulator on, because every contact image is also used for training; give a set"
         in outcome.err
     )
 
@@ -195,4 +195,4 @@ def test_our_physics_beside_the_table(captures: Path) -> None:
     for name in ("elastic gel under three lights", "doing nothing"):
         mistaken = finray(f"bench tactile set --simulator '{name}' --command 'true' --out mistaken")
         assert mistaken.status == 2
-        assert "is the name of one of finray's own rows" in mistaken.err
+        assert "is already the name of one of finray's own rows" in mistaken.err

@@ -108,9 +108,9 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
     finished = mistake(f"capture --resume {lab}/session")
     assert "is finished already" in finished
     assert "continue with" not in finished
-    assert "--dry-run describes one that has not begun" in mistake(f"capture --resume {tmp_path} --dry-run")
+    assert "--resume and --dry-run cannot be combined" in mistake(f"capture --resume {tmp_path} --dry-run")
     assert "holds no interrupted session (journal.jsonl)" in mistake(f"capture --resume {tmp_path}")
-    assert "give a PLAN and its --rig" in mistake(f"capture {lab}/plan.toml")
+    assert "PLAN or --rig is missing; give both" in mistake(f"capture {lab}/plan.toml")
 
 
 def test_session_that_lacks_its_checksums_only_gets_them(lab: Path, tmp_path: Path) -> None:

@@ -115,8 +115,8 @@ def test_what_belongs_to_no_capture_is_left_out_and_told(made: Path, tmp_path: P
             "export captures {f}/fots --out {t}/a.tar",
             "a.tar: must be a zip archive; choose an --out that ends in .zip",
         ),
-        ("export captures {f}/fots {f}/fots", "captures need one folder"),
-        ("export captures {f}/fots --format csv", "--format belongs to a paint; leave it out for captures"),
+        ("export captures {f}/fots {f}/fots", "captures need exactly one folder"),
+        ("export captures {f}/fots --format csv", "--format is only for paints; leave it out for captures"),
         ("export captures {t}/damaged --out {t}/a.zip", "0001.capture.json: .* seal"),
         ("compare {t}/poisoned.zip {f}/fots --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("compare {f}/fots {t}/poisoned.zip --out {t}/o", "poisoned.zip: '../one.txt' leads out of its folder"),
@@ -124,7 +124,7 @@ def test_what_belongs_to_no_capture_is_left_out_and_told(made: Path, tmp_path: P
         ("sense teach {t}/poisoned.zip --out {t}/o.json", "poisoned.zip: '../one.txt' leads out of its folder"),
         ("import captures {t}/poisoned.zip --recipe fots-gelsight --out {t}/o", "poisoned.zip: '../one.txt' leads"),
         ("verify {t}/poisoned.zip", "poisoned.zip: '../one.txt' leads out of its folder"),
-        ("trace {f}/fots.zip", "fots.zip: is a folder or a zip archive; 'finray verify' checks folders"),
+        ("trace {f}/fots.zip", "fots.zip: is a folder or a zip archive; give the path of"),
     ],
 )
 def test_mistakes_are_one_sentence(made: Path, tmp_path: Path, words: str, says: str) -> None:

@@ -93,7 +93,7 @@ def test_the_folder_is_named_after_the_check(lab: Path, plan: Path, tmp_path: Pa
         (
             'kind = "check"',
             'kind = "paint"',
-            r"'kind' is 'paint'; it must be one of 'check', 'tactile check'",
+            r"'kind' must be one of 'check', 'tactile check', but is 'paint'",
         ),
         ("wheel_moves", "weel_moves", r"'weel_moves': unknown key; did you mean 'wheel_moves'\?"),
         ("revisit_rel", "revisit", r"'limits\.revisit': unknown key; did you mean 'revisit_rel'\?"),

@@ -148,20 +148,23 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
     (folders / "pairs.csv").write_text("simulated,captured\nx.json,y.json\n")
     outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
     assert outcome.status == 2
-    assert f"none of the 1 pairs could be compared; {folders}/out/summary.csv says why" in outcome.err
+    assert f"none of the 1 pairs could be compared; see the reasons in {folders}/out/summary.csv" in outcome.err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
-        ("{0}/simulated", "the CAPTURE to compare it with is missing; add a record"),
+        ("", "either SIMULATED and CAPTURE or --pairs CSV must be given, but not both"),
+        ("{0}/simulated", "CAPTURE, the record or folder to compare with, is missing; add a record"),
         ("{0}/simulated {0}/captured/one.capture.json", "some are folders, others are not; give two records, or"),
         (
             "{0}/none.json {0}/none.json {0}/none.json",
             "none.json: is a third record, but only two are compared; give one",
         ),
-        ("{0}/simulated --pairs {0}/pairs.csv", "give SIMULATED and CAPTURE, or --pairs CSV: one of the two"),
+        (
+            "{0}/simulated --pairs {0}/pairs.csv",
+            "either SIMULATED and CAPTURE or --pairs CSV must be given, but not both",
+        ),
         ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
         ("--pairs {0}/bytes.csv", "bytes.csv: cannot be read as UTF-8"),
@@ -268,7 +271,7 @@ def test_processes_that_do_not_fit_are_a_warning_and_give_the_same_numbers(
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (300 << 20, 1 << 30))
     short = finray(f"compare {folders}/simulated {folders}/captured --out {folders}/short")
     assert short.status == 0
-    assert "the free memory allows 1 of 2 processes for pictures of this size" in short.err
+    assert "the free memory is enough for only 1 of 2 processes with pictures of this size" in short.err
     monkeypatch.setattr("data_schemas.storage.memory_left", lambda: (8 << 30, 8 << 30))
     assert "memory" not in finray(f"compare {folders}/simulated {folders}/captured --out {folders}/ample").err
     assert _numbers(folders / "short") == _numbers(folders / "ample")

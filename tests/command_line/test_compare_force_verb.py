@@ -93,13 +93,13 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
     ("arguments", "message"),
     [
         ("compare {lab}/p.mechanics.json {lab}/c.json --force {lab}/bench.csv", "without CAPTURE and --pairs"),
-        ("compare --force {lab}/bench.csv", "give NAME.mechanics.json"),
-        ("compare {lab}/p.mechanics.json --force {lab}/bench.csv --register", "belong to images"),
+        ("compare --force {lab}/bench.csv", "give only NAME.mechanics.json"),
+        ("compare {lab}/p.mechanics.json --force {lab}/bench.csv --register", "--force compares no images"),
         (
             "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.png",
             "choose an --out that ends in .json",
         ),
-        ("compare {lab}/p.json {lab}/c.json --known-first-touch", "belong to --force CSV"),
+        ("compare {lab}/p.json {lab}/c.json --known-first-touch", "work only with --force CSV"),
         ("compare {lab}/p.mechanics.json --force {lab}/none.csv --out {lab}/x.json", "none.csv: no such file"),
         (
             "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.json "

@@ -71,7 +71,7 @@ def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, 
     with pytest.raises(ProcessDiedError, match=message) as died:
         small_demo.run(out)
     log = out / "logs" / "stage-two.log"
-    assert f"Its log is {log}. Finished work is kept: the same command continues there; " in str(died.value)
+    assert f"Its log is {log}. Finished work is kept; run the same command again to continue. " in str(died.value)
     assert "'finray doctor'" in str(died.value)
     assert computed(out) == ["one"]
     if how.get("number") == signal.SIGKILL:  # which leaves no time to write
@@ -175,7 +175,7 @@ def test_settings_are_not_mixed(tmp_path):
     begun(out)
     before = tree(out)
     with pytest.raises(
-        RecordError, match=r"holds an unfinished demo with another seed 1 \(now 2\), whose files would mix"
+        RecordError, match=r"contains an unfinished demo with another seed 1 \(now 2\), whose files would mix"
     ):
         small_demo.run(out, seed=2)
     assert not can_continue(out, small_demo.settings(out, seed=2))
@@ -198,7 +198,7 @@ def test_a_finished_demo_is_told_where_it_is(tmp_path):
     small_demo.run(tmp_path / "d")
     before = tree(tmp_path)
     with pytest.raises(
-        RecordError, match=r"holds a finished demo already, whose report is \S+report\.html; choose ano"
+        RecordError, match=r"already contains a finished demo, whose report is \S+report\.html; choose ano"
     ):
         small_demo.run(tmp_path / "d")
     assert tree(tmp_path) == before
@@ -237,7 +237,7 @@ def test_the_demo_itself_goes_on_after_a_fit_that_crashed(tmp_path):
     assert status == 3
     told = re.search(
         r"^finray demo: error: the fit of the red paint was ended by SIGSEGV .* memory\. Its log is (\S+)\. "
-        r"Finished work is kept: the same command continues there; .*$",
+        r"Finished work is kept; run the same command again to continue\. .*$",
         said.splitlines()[-1],
     )
     assert told, said

@@ -40,8 +40,8 @@ def test_the_next_filter_of_a_paint():
 def test_mistakes(rig, tmp_path):
     path = EXAMPLE / f"v{type(example()).schema_version}" / "example.json"
     for words, match in (
-        (f"design filters {path} --keep 405", "are for a rig"),
-        (f"design filters {rig} --keep 406", "the rig has 405, 450"),
+        (f"design filters {path} --keep 405", "are only for a rig"),
+        (f"design filters {rig} --keep 406", "filters of the rig are centred at 405, 450"),
         (f"design filters {rig} --paints -1", "must be 0 or more"),
         (f"design filters {rig} --catalogue {tmp_path}/none.csv", "none.csv"),
     ):

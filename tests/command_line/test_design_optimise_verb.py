@@ -62,7 +62,7 @@ def test_light_is_searched_with_the_paints_of_the_rig(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--for beauty", "there is no objective 'beauty'; there are normal-error, evenness"),
+        ("--for beauty", "unknown objective 'beauty'; valid names are normal-error, evenness"),
         ("--for softness --and softness", "'softness' is given twice; give each objective once"),
         ("--for softness --within pad.thickness_mm --within pad.thickness_mm=5:7", "a field is given twice"),
         ("--for softness --within pad.thicknes_mm=5:7", "'pad.thicknes_mm' is not a field of a design"),

@@ -40,5 +40,5 @@ def test_one_paint_is_no_choice(paints: Path, tmp_path: Path) -> None:
     for given in (one, f"{one} {one}"):
         outcome = finray(f"design paints flat-70x35 {given} --out {tmp_path}/choice.json")
         assert outcome.status == 2
-        assert "a finger carries two paints; give at least two files, each of them once" in outcome.err
+        assert "must name at least two files, each once, because a finger carries two paints" in outcome.err
     assert not (tmp_path / "choice.json").exists()

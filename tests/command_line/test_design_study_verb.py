@@ -98,7 +98,7 @@ def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, mo
     assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
     warned = " ".join(capsys.readouterr().err.split())
     old = f"finray-calib 0.0.9, commit {'ab' * 6}"
-    assert f"points computed by other code than this ({task.origin.code}) are kept: 1 by {old}." in warned
+    assert f"points computed by other code than the present code ({task.origin.code}) are kept: 1 by {old}." in warned
     assert "Give --renew to compute them again" in warned
     assert f"1 by {old}; 2 by {task.origin.code}" in " ".join(Path("out/study.html").read_text().split())
     rows = read_record(Path("out/study.json"), StudyResult).points
@@ -149,7 +149,10 @@ def test_two_studies_are_compared_by_the_points_that_they_share(tmp_path, capsys
     assert found["only_first"] == [{"light.angle_deg": 30.0}]
     assert main(["study", "compare", a, c]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "share no number of any point; the first changes light.angle_deg, the second pad.thickness_mm" in said
+    assert (
+        "have no result of a point in common, because the first changes light.angle_deg and the second pad.thickness_mm"
+        in said
+    )
 
 
 def test_a_folder_with_the_name_of_a_ready_made_design_does_not_hide_it(tmp_path, monkeypatch):

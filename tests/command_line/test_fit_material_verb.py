@@ -46,16 +46,16 @@ def test_two_blocks_give_what_a_design_needs(bench, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("lubricated.csv confined.csv --on 20x20x10:lubricated", "give --on once for each curve"),
+        ("lubricated.csv confined.csv --on 20x20x10:lubricated", "give --on exactly once for each curve"),
         (
             "lubricated.csv --on 20x20:lubricated",
             "is neither a file nor a block; give a design (TOML)",
         ),
         (
             "lubricated.csv --on 20x20x10:slippery",
-            "plates cannot be 'slippery'; give one of lubricated, bonded, confined",
+            "plates 'slippery' are not supported; give one of lubricated, bonded, confined",
         ),
-        ("lubricated.csv --on 20x2.0.1x10:bonded", "edges are numbers in mm"),
+        ("lubricated.csv --on 20x2.0.1x10:bonded", "the edges must be numbers in mm"),
         (
             "lubricated.csv --on 20x20x4:bonded",
             "a bonded block 4 mm high can be compressed by more than 0",

@@ -121,18 +121,18 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     [
         (
             "--force 2",
-            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
-            "elements, without sensitivities; leave out --path, or --force",
+            "--path moves the indenter along given poses, which works only from first touch, with penalty contact and "
+            "finray's own elements, and without sensitivities; leave out --path, or --force",
         ),
         (
             "--contact barrier",
-            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
-            "elements, without sensitivities; leave out --path, or --contact barrier",
+            "--path moves the indenter along given poses, which works only from first touch, with penalty contact and "
+            "finray's own elements, and without sensitivities; leave out --path, or --contact barrier",
         ),
         (
             "--sensitivities",
-            "--path moves the indenter along given poses from first touch, with penalty contact and finray's own "
-            "elements, without sensitivities; leave out --path, or --sensitivities",
+            "--path moves the indenter along given poses, which works only from first touch, with penalty contact and "
+            "finray's own elements, and without sensitivities; leave out --path, or --sensitivities",
         ),
     ],
 )
@@ -168,7 +168,7 @@ def test_an_earlier_increment_is_not_resumed_over_later_ones(tmp_path):
     for number in (1, 2, 1000):
         (folder / f"{number:03d}.json").write_text("{}")
     assert last_increment(folder).name == "1000.json"
-    with pytest.raises(RecordError, match="later increments are stored beside it"):
+    with pytest.raises(RecordError, match="later increments are stored in the same folder"):
         mechanics_paths(tmp_path / "d.press.json", folder / "002.json")
     assert mechanics_paths(tmp_path / "d.press.json", folder / "1000.json")["increments"] == folder
 
@@ -263,9 +263,9 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
         (
             "",
             "--force 2 --contact barrier",
-            r"--force presses from first .*; leave out --force, or --contact barrier\n",
+            r"--force works only from first .*; leave out --force, or --contact barrier\n",
         ),
-        ("", "--force 2 --resume d.increments", r"--force presses from first touch with penalty contact"),
+        ("", "--force 2 --resume d.increments", r"--force works only from first touch, with penalty contact"),
         ("", "--force two", r"--force: 'two' must be a force in N above 0 and at most 1000"),
         (
             "friction = 0.3",
@@ -273,7 +273,7 @@ def test_a_press_is_stored_though_none_with_a_number_changed_is(
             r"with --force, the indenter must be a cylinder, ball or cuboid without friction",
         ),
         ("edge_radius_mm = 1.0", "", r"indenter\.edge_radius_mm has no effect: it belongs to a cuboid"),
-        ("", "--budget 60 --sensitivities", r"--budget is for one press with finray's own elements"),
+        ("", "--budget 60 --sensitivities", r"--budget works only for a single press with finray's own elements"),
         ("", "--budget soon", r"--budget: 'soon' must be a processor time in s above 0 and at most"),
         (
             'shape = "cuboid"\nsize_mm = [9, 9, 9]\nradius_mm = 5',
@@ -294,9 +294,13 @@ def test_what_has_no_effect_is_refused(tmp_path: Path, tables: str, options: str
 @pytest.mark.parametrize(
     ("radius_mm", "depth_mm", "message"),
     [
-        (2.0, 0.1, "touches no node of the coat, whose elements are 2 mm wide: the force of 0 N comes from the mesh"),
+        (
+            2.0,
+            0.1,
+            "touches no node of the coat, whose elements are 2 mm wide, so the force of 0 N comes from the mesh",
+        ),
         # barrier: 0.428 N, 15 % more
-        (2.0, 0.5, "the force is some 15 % too low; press with --contact barrier"),
+        (2.0, 0.5, "the force there is some 15 % too low; press with --contact barrier"),
     ],
 )
 def test_a_force_that_rests_on_few_nodes_is_told(tmp_path, radius_mm, depth_mm, message):
@@ -511,7 +515,7 @@ def test_the_last_increment_before_the_budget_was_spent_is_kept(
     press = f"simulate press {tmp_path}/finger.toml --increments 2 {force} --out {tmp_path}/d.press.json"
     outcome = finray(f"{press} --budget 900")
     assert outcome.status == 2
-    assert re.search(r"the push ended early, at \S+ of \S+ (mm|N): the budget of 900 s of .* is stored", outcome.err)
+    assert re.search(r"the push ended early, at \S+ of \S+ (mm|N): the budget of 900 s of .* are stored", outcome.err)
     record = read_record(tmp_path / "d.mechanics.json", PressMechanics)
     assert len(record.depth_mm) == 1
     assert record.unreached.startswith("the budget of 900 s of processor time is spent")

@@ -80,7 +80,8 @@ def test_an_earlier_spelling_says_what_to_type_now(before, now, capsys):
     names = {"design": "a/my.toml", "paints": "--paint red=r.json --paint green=g.json"}
     assert current_spelling(f"simulate {before.format(**names)}".split()) == f"simulate {now.format(**names)}".split()
     assert (
-        f"will be removed in the next one; type now: finray simulate {now.format(**names)}\n" in capsys.readouterr().err
+        f"will be removed in the next one; type finray simulate {now.format(**names)} instead\n"
+        in capsys.readouterr().err
     )
 
 
@@ -96,7 +97,7 @@ def test_an_earlier_spelling_does_the_same_and_is_stored_as_spelled_now(design, 
     told = finray(f"simulate {rest} {tmp_path}/before.press.json")
     assert told.status == 0
     assert told.err.startswith(
-        "this spelling belongs to an earlier version and will be removed in the next one; type now: finray sim"
+        "this spelling is from an earlier version and will be removed in the next one; type finray sim"
     )
     succeed(f"simulate render {rest} {tmp_path}/now.press.json")
     before, now = (read_record(tmp_path / f"{name}.press.json", SimulatedPress) for name in ("before", "now"))
@@ -125,7 +126,7 @@ def test_surfaces_are_rendered_with_the_design_beside_them(paints, tmp_path):
     (tmp_path / "d.mechanics.json").unlink()
     refused = finray(f"simulate render {tmp_path}/d.surfaces.json {how} --out {tmp_path}/no.press.json")
     assert refused.status == 2
-    assert "their design is stored in d.mechanics.json, which is missing from the same folder" in refused.err
+    assert "stored in d.mechanics.json, but d.mechanics.json is missing from the folder" in refused.err
 
 
 def test_optics_writes_record_capture_and_images(design, paints, tmp_path):

@@ -57,8 +57,9 @@ def test_a_press_that_dies_is_one_sentence_and_goes_on(tmp_path, number):
     (said,) = without_progress(err)
     assert re.search(
         rf"^finray simulate: error: the press by finite elements was (ended by|killed \() ?{number.name}.*"
-        r"; it had taken \d\.\d\d GiB of memory\. Its log is \S+a\.log\. Finished increments are kept: the same "
-        r"command continues after the last one; if that fails again, 'finray doctor' lists what this machine lacks$",
+        r"; it had taken \d\.\d\d GiB of memory\. Its log is \S+a\.log\. Finished increments are kept, and the same "
+        r"command continues after the last one\. If it fails again, run 'finray doctor' to see what this machine "
+        r"lacks$",
         said,
     ), said
     assert "The process was " in (tmp_path / "a.log").read_text()

@@ -106,7 +106,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
             "--pad {0}/board-0.png --squares 7x5 --square-mm 0.003 --marker-mm 0.0022 --square-u-mm 0.000003",
             r"square_mm = 0\.003 mm: squares of 0\.2 to 100 mm can be used; was it given in metres",
         ),
-        ("--pad {0}/board-0.png " + BOARD, "--square-u-mm: missing; measure all squares"),
+        ("--pad {0}/board-0.png " + BOARD, "--square-u-mm is missing; measure all squares"),
         ("--pad {0}/board-0.png --square-u-mm 3 " + BOARD, r"--square-u-mm 3: must be 0 to 0\.3 mm"),
         ("--pad {0}/board-0.png --square-u-mm nan " + BOARD, "--square-u-mm nan: must be"),
         (
@@ -117,7 +117,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         ("--pad {0}/black.png --square-u-mm 0.003 " + BOARD, "black.png: every pixel has the same value"),
         ("--pad {0}/words.png --square-u-mm 0.003 " + BOARD, "words.png: is neither PNG nor JPEG; give a picture"),
         ("--pad {0}/none.png --square-u-mm 0.003 " + BOARD, "none.png: no such file; give the path of an image"),
-        ("--pad {0}/small.png --square-u-mm 0.003 " + BOARD, r"differ in size .*\[\(100, 640\), \(480, 640\)\]"),
+        ("--pad {0}/small.png --square-u-mm 0.003 " + BOARD, r"have different sizes .*\[\(100, 640\), \(480, 640\)\]"),
     ],
 )
 def test_what_is_wrong_is_named(pictures: Path, tmp_path: Path, options: str, message: str) -> None:
@@ -193,7 +193,7 @@ def test_a_session_knows_its_pictures(pictures: Path, tmp_path: Path) -> None:
     assert record.middle.along_x_mm_per_px == pytest.approx(truth[0], rel=1e-3)
     both = finray(f"sense scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert both.status == 2
-    assert "is a session, which holds its own pictures and board" in both.err
+    assert "is a session, which already contains its pictures and its board" in both.err
     (folder / "frames/00000_board_1.tiff").write_bytes(b"changed")
     changed = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert changed.status == 2
@@ -207,7 +207,7 @@ def test_a_session_whose_first_picture_lies_anywhere_is_refused(pictures: Path, 
     assert "does not state that the first picture shows the board on the pad" in outcome.err
     missing = finray(f"sense scale {lens(pictures)} {BOARD} --square-u-mm 0.003 --out {tmp_path}/s.json")
     assert missing.status == 2
-    assert "--pad: missing; give the picture of the board" in missing.err
+    assert "--pad is missing; give the picture of the board" in missing.err
 
 
 def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_session_without_the_board_on_the_pad_is_refused(pictures: Path, tmp_p
     write_record(session.model_copy(update={"frames": frames}), folder / "session.json", provenance("pytest"))
     outcome = finray(f"sense scale {folder} --square-u-mm 0.003 --monochrome --out {tmp_path}/s.json")
     assert outcome.status == 2
-    assert "holds no picture of the board on the pad (was the session interrupted?)" in outcome.err
+    assert "the picture of the board on the pad is missing, perhaps because the session was interrupted" in outcome.err
 
 
 def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path: Path) -> None:
@@ -228,4 +228,4 @@ def test_the_picture_on_the_pad_may_be_among_the_others(pictures: Path, tmp_path
     assert len(read_record(out, PixelScale).lens_pictures) == 6
     twice = finray(f"sense scale {pictures}/board-1.png {every} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert twice.status == 2
-    assert "board-1.png: is given twice; name each picture once" in twice.err
+    assert "board-1.png: is given twice; give each picture once" in twice.err

@@ -182,7 +182,7 @@ def test_detect_lists_devices_and_no_error_hides_another(monkeypatch: pytest.Mon
     assert "note: gentl: harvesters is not installed (pip install 'finray-calib[gentl]')" in outcome.err
     assert "note: thorlabs: a driver's own mistake" in outcome.err
     assert outcome.err.count("note: indi: no server") == 1
-    assert "not searched for: mjpeg" in outcome.err
+    assert "mjpeg cannot be found by a search" in outcome.err
 
 
 @pytest.mark.usefixtures("nothing_in_reach")

@@ -83,7 +83,7 @@ def test_a_height_map_is_rendered_and_named_as_an_input(design, tmp_path, monkey
 def test_what_belongs_to_a_finger_is_refused(design, tmp_path, options):
     outcome = finray(f"simulate render {design} {options}")
     assert outcome.status == 2
-    assert f"is a classic sensor; leave out {options.split()[0]}, for painted fingers only" in outcome.err
+    assert f"is a classic sensor; leave out {options.split()[0]}, supported only for painted fingers" in outcome.err
     assert list(tmp_path.iterdir()) == [design]
 
 
@@ -93,7 +93,7 @@ def test_the_library_takes_names_designs_and_files(design):
     assert render_sensor(small, samples=2, engine="scalar").contact.shape == (8, 8, 3)
     outcome = finray("design init nose")
     assert outcome.status == 2
-    assert "there is no preset design 'nose'; there are flat-70x35" in outcome.err
+    assert "there is no preset design 'nose'; valid names are flat-70x35" in outcome.err
     assert "gelsight-wedge" in outcome.err
 
 

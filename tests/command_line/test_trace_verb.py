@@ -56,7 +56,7 @@ def test_statuses(decided, tmp_path):
         )
     for mistake, said in {
         f"trace {tmp_path}/none.json": "none.json: no such file",
-        f"trace {decided}": "is a folder or a zip archive; 'finray verify' checks folders. Here give the path",
+        f"trace {decided}": "is a folder or a zip archive; give the path",
         f"trace {decided}/plan.toml": "is not a stored record",
         f"verify {tmp_path}/none": "no such folder",
         f"verify {tmp_path / 'empty'}": "holds no stored record, session or checksums",
@@ -122,10 +122,10 @@ def test_replay_by_another_seed_differs(decided):
 def test_what_cannot_be_done_again_is_refused(decided):
     outcome = finray(f"trace {decided}/session/session.json --replay")
     assert outcome.status == 2
-    assert "was made by 'finray capture', which cannot be done again" in outcome.err
+    assert "was made by 'finray capture', which cannot be repeated" in outcome.err
     outcome = finray(f"trace {decided}/sweep.json --replay")
     assert outcome.status == 2
-    assert "holds no finray command" in outcome.err
+    assert "contains no finray command" in outcome.err
 
 
 class TestComparison:

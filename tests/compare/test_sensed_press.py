@@ -178,11 +178,11 @@ def test_teach_and_run_lead_from_presses_to_depth(presses, tmp_path, monkeypatch
     assert len((tmp_path / "other.sensed.stl").read_bytes()) == 84 + 50 * 2 * 59 * 79
     own = finray("sense run map.json set/p00.capture.json")
     assert own.status == 0
-    assert "p0 is a training press of the map 'map': its result proves nothing about other presses" in own.err
+    assert "p0 is a training press of the map 'map', so its result proves nothing about other presses" in own.err
     (tmp_path / "empty").mkdir()
     nothing = finray("sense teach empty --out none.json")
-    assert (nothing.status, "holds no NAME.capture.json; import presses" in nothing.err) == (2, True)
+    assert (nothing.status, "contains no capture (NAME.capture.json); import presses" in nothing.err) == (2, True)
     # the spelling of an earlier version
     before = finray("study normal-map set --out again.json")
     assert before.status == 0
-    assert "type now: finray sense teach set --out again.json" in before.err
+    assert "type finray sense teach set --out again.json instead" in before.err

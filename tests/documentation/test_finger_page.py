@@ -265,7 +265,7 @@ def test_light_tolerances_and_stiffness_stand_on_one_page(tmp_path, assessment):
     assert said.endswith("assessment.html\n")
     again = finray(words)
     assert again.status == 2
-    assert "found: holds a finished assessment, which is not overwritten" in again.err
+    assert "found: contains a finished assessment, which is not overwritten" in again.err
 
 
 KILLED = """
@@ -291,7 +291,7 @@ def test_an_assessment_that_was_killed_continues_with_what_is_missing(tmp_path, 
     for changed in ("--seed 2", "--quick", "--pad 50x30"):
         refused = finray(f"{words} {changed}")
         assert refused.status == 2
-        assert "holds an unfinished assessment of another finger, pad, paint, seed, --engine, --quick or" in refused.err
+        assert "contains an unfinished assessment that was started with another finger, pad, paint, seed" in refused.err
     said = succeed(words)
     assert said.startswith(f"{out}: continues; 6 finished parts are kept")
     assert [getattr(what, "name", what) for what in computed] == ["flat-70x35-pad-60x30", "stiffness"]
@@ -307,7 +307,7 @@ def test_parts_of_other_code_are_told_when_an_assessment_continues(tmp_path, ass
         assert finray(words).status == 2
     outcome = finray(words)
     assert outcome.status == 0
-    assert "parts computed by other code than this" in outcome.err
+    assert "parts computed by other code than the present code" in outcome.err
     assert "tolerances by finray-calib 0.0.9" in outcome.err
 
 

@@ -34,14 +34,14 @@ COMPOSED = {
     ),
     "finray demo: error: the press by finite elements was ended by SIGILL (a compiled library uses instructions that "
     "this processor does not have); it had taken 0.31 GiB of memory. Its log is "
-    "finray-demo/logs/the-press-by-finite-elements.log. Finished work is kept: the same command continues there; if "
-    "that fails again, 'finray doctor' lists what this machine lacks": (
+    "finray-demo/logs/the-press-by-finite-elements.log. Finished work is kept; run the same command again to continue. "
+    "If it fails again, run 'finray doctor' to see what this machine lacks": (
         "the press by finite elements",
         "was ended by SIGILL",
         "a compiled library uses instructions that this processor does not have",
         "; it had taken 0.31 GiB of memory",
-        "... Its log is FILE. Finished work is kept: the same command continues there; if that fails again, "
-        "'finray doctor' lists what this machine lacks",
+        "... Its log is FILE. Finished work is kept; run the same command again to continue. If it fails again, run "
+        "'finray doctor' to see what this machine lacks",
     ),
     "fails when it opens": ("fails ...", "when it opens"),
 }

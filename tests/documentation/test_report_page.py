@@ -159,7 +159,7 @@ def test_another_verdict_is_named_in_title_and_box(hostile: str) -> None:
 
 def test_true_finger_and_paper_emitter_are_told_only_where_they_were_rendered(page: Page, hostile: str) -> None:
     for words in (
-        "On the true finger, which the fit and the decision did not see",
+        "On the true finger, which neither the fit nor the decision saw",
         "With the paper's emitter",
         "simulation, paper's emitter 0.702",
     ):
@@ -194,9 +194,9 @@ def test_every_scrolling_table_can_be_reached_by_keyboard(page: Page) -> None:
 
 def test_results_without_a_paint_or_a_stage_are_refused() -> None:
     results = example_results()
-    with pytest.raises(RecordError, match=r"paints are \['red'\]; give exactly 'red' and 'green'"):
+    with pytest.raises(RecordError, match=r"paints must be exactly 'red' and 'green', got \['red'\]"):
         replace(results, paints={"red": results.paints["red"]})
-    with pytest.raises(RecordError, match=r"wall times \(s\) are given for \['fit'\]; give exactly one for each stage"):
+    with pytest.raises(RecordError, match=r"wall times \(s\) must be given for each of the stages .* got \['fit'\]"):
         replace(results, stage_wall_times_s={"fit": 1.0})
     region = results.report.model_copy(update={"headline_region": "elsewhere"})
     with pytest.raises(RecordError, match="headline region 'elsewhere' is not among its regions"):

@@ -327,7 +327,7 @@ def test_circles_for_captures_that_have_none(tmp_path):
     (tmp_path / "circles.csv").write_text("\n".join(lines[:-1]) + "\n")
     outcome = finray(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
     assert outcome.status == 2
-    assert "circles.csv: no circle for press-012.capture.json" in outcome.err
+    assert "circles.csv: the circle of press-012.capture.json is missing" in outcome.err
     (tmp_path / "circles.csv").write_text("\n".join(lines) + "\n")
     assert "12 presses" in succeed(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
 

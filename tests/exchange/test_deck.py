@@ -255,11 +255,11 @@ def test_the_verb_writes_a_deck_once(stored, tmp_path, dialect):
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        ("deck {file}", "a deck needs --dialect: one of abaqus, calculix"),
-        ("deck --dialect abaqus", "a deck needs one design"),
-        ("deck {file} --dialect abaqus --format csv", "--format belongs to a paint"),
+        ("deck {file}", "--dialect is missing, but a deck needs it; give one of abaqus, calculix"),
+        ("deck --dialect abaqus", "a deck needs exactly one design"),
+        ("deck {file} --dialect abaqus --format csv", "--format is only for paints"),
         ("{file}", "--format is missing"),
-        ("{file} --dialect abaqus", "--dialect: belongs to a deck"),
+        ("{file} --dialect abaqus", "--dialect: supported only for a deck"),
         ("{file} {file} --format csv", "2 files are given"),
     ],
 )

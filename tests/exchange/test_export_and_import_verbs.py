@@ -65,7 +65,7 @@ def test_two_lights_and_a_camera(stored, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--format csv --led x.csv", "belong to --format rgb-reradiation; leave them out for csv"),
+        ("--format csv --led x.csv", "are only for --format rgb-reradiation; leave them out for csv"),
         ("--format rgb-reradiation --led x.csv", "x.csv: no such file"),
         ("--format obj", "invalid choice: 'obj'"),
     ],

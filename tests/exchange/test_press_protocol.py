@@ -183,4 +183,4 @@ def test_what_is_no_sensor_is_refused(tmp_path, monkeypatch):
         assert outcome.status == 2
         assert "Traceback" not in outcome.err
     outcome = finray("export protocol wrong.toml --format csv")
-    assert "--format belongs to a paint; leave it out for a press protocol" in outcome.err
+    assert "--format is only for paints; leave it out for a press protocol" in outcome.err

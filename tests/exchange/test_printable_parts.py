@@ -302,7 +302,7 @@ def test_what_cannot_be_printed_or_written_is_told_before_anything_is_written(tm
     monkeypatch.setattr(options.os, "access", lambda path, mode: False)
     outcome = finray(f"design export {design} --out {tmp_path}/print")
     assert outcome.status == 2
-    assert "does not allow it; choose another --out or change its permissions" in outcome.err
+    assert "is not writable; choose another --out, or change the permissions" in outcome.err
 
 
 def test_walls_carry_the_flange_of_the_film():

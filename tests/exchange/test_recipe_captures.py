@@ -418,8 +418,8 @@ def test_two_commands_lead_from_a_folder_to_scores(tmp_path, monkeypatch):
     (tmp_path / "mine.csv").write_text("image,column_px,row_px,radius_px\n77,1,1,1\n")
     for words, message in (
         ("fots --recipe fots-gelsight --circles mine.csv", "77 is not a press of fots"),
-        ("", "give FOLDER and --recipe NAME|FILE; recipes that come with finray: estimate-modulus"),
-        ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4, for 5 presses"),
+        ("", "give FOLDER and --recipe NAME|FILE. The recipes that come with finray are estimate-modulus"),
+        ("fots --recipe fots-gelsight --predict-from 5", "must be 1 to 4 for 5 presses"),
     ):
         failed = finray(f"import captures {words} --out no")
         assert failed.status == 2
@@ -499,7 +499,7 @@ def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     outcome = finray("import captures fots --recipe fots-gelsight --predict-from 1 --out set")
     assert outcome.status == 0
-    assert "0002: has the same image as a training press of the table, and is not predicted" in outcome.err
+    assert "0002: has the same image as a training press of the table, so it is not predicted" in outcome.err
     assert sorted(p.name for p in (tmp_path / "set").glob("*.press.json")) == [f"000{k}.press.json" for k in (3, 4, 5)]
     captures = read_by_recipe(folder, shipped("fots-gelsight")).captures
     with pytest.raises(

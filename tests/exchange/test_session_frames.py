@@ -566,10 +566,10 @@ def test_the_verb_writes_and_tells(folder: Path, tmp_path: Path, name: str) -> N
         ("export nexus {t}/begun --out {t}/a.nxs", "the capture was not finished.*continue with"),
         ("export bluesky {t}/lost --out {t}/a.jsonl", "1 of 82 frames of the session are missing.*finray verify"),
         ("export ome-tiff {f} --out {t}/a.tiff", r"must end in \.ome\.tiff or \.ome\.tif"),
-        ("export ome-tiff", "ome-tiff needs one session"),
-        ("export ome-tiff {f} {f}", "ome-tiff needs one session"),
-        ("export nexus {f} --format csv", "--format belongs to a paint; leave it out for the frames of a session"),
-        ("export nexus {f} --dialect calculix", "--dialect: belongs to a deck"),
+        ("export ome-tiff", "ome-tiff needs exactly one session"),
+        ("export ome-tiff {f} {f}", "ome-tiff needs exactly one session"),
+        ("export nexus {f} --format csv", "--format is only for paints; leave it out for the frames of a session"),
+        ("export nexus {f} --dialect calculix", "--dialect: supported only for a deck"),
     ],
 )
 def test_mistakes_are_told(folder: Path, tmp_path: Path, words: str, message: str) -> None:

@@ -165,20 +165,20 @@ def test_with_paints_a_finger_is_rendered(presses, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("taxim", "needs one sensor or finger: finray export taxim SENSOR.toml"),
+        ("taxim", "needs exactly one sensor or finger; run 'finray export taxim SENSOR.toml'"),
         ("taxim f.toml --paint red=a.json", "no such file"),
-        ("x.json --format csv --paint red=a.json", "--paint: belongs to a Taxim folder"),
-        ("taxim s.toml --format csv", "--format belongs to a paint"),
-        ("taxim s.toml --dialect abaqus", "--dialect: belongs to a deck"),
+        ("x.json --format csv --paint red=a.json", "--paint: supported only for a Taxim folder"),
+        ("taxim s.toml --format csv", "--format is only for paints"),
+        ("taxim s.toml --dialect abaqus", "--dialect: supported only for a deck"),
         ("taxim s.toml --presses 0", "must be a whole number from 1"),
         # refused before the sensor is read, let alone rendered
         ("taxim none.toml --presses 23", "--presses 23: a shading table needs at least 24 presses"),
         ("taxim s.toml --ball-diameter-mm x", "must be a number of mm above 0"),
         ("taxim none.toml", "none.toml: no such file"),
-        ("x.json --format csv --presses 9", "--presses: belongs to a Taxim folder"),
-        ("capture-request", "needs one design"),
-        ("capture-request d.toml --format csv", "--format belongs to a paint"),
-        ("capture-request d.toml --samples 3", "--samples: belongs to a Taxim folder"),
+        ("x.json --format csv --presses 9", "--presses: supported only for a Taxim folder"),
+        ("capture-request", "needs exactly one design"),
+        ("capture-request d.toml --format csv", "--format is only for paints"),
+        ("capture-request d.toml --samples 3", "--samples: supported only for a Taxim folder"),
     ],
 )
 def test_mistakes_end_with_status_2(arguments, message):

@@ -237,7 +237,9 @@ def test_yields_that_no_shape_of_an_emission_maximum_gives_are_refused():
     nobody = SimpleNamespace(log_likelihood=lambda residual: np.where(np.arange(len(residual)) == 0, 0.0, -np.inf))
     lights = LightYields(LASER_NM, np.array([470.0]), np.zeros(1), np.array([0.03, 0.03]))
     modes_nm, counts = np.array([600.0, 500.0]), np.array([999, 1])
-    with pytest.raises(FitError, match=r"none of 20000 shapes .* emission maximum at 500 nm; check the other lights"):
+    with pytest.raises(
+        FitError, match=r"none of 20000 shapes .* emission maximum at 500 nm; check the sessions of the other lights"
+    ):
         draw_candidates(modes_nm, counts, lights, nobody, PRIOR, np.random.default_rng(1))
 
 
@@ -266,9 +268,9 @@ def benchmark_seconds():
 @pytest.mark.parametrize(
     ("yields", "message"),
     [
-        ([], "first yield must be the laser's at 450 nm, but it is missing"),
+        ([], "first yield must be the yield under the laser at 450 nm, but it is missing"),
         (lines((405.0,), (1.0,)), "it is 405 nm"),
-        (lines((450.0, 405.0), (1.0, 0.0)), "yield 0 with relative uncertainty 0.03 at 405 nm"),
+        (lines((450.0, 405.0), (1.0, 0.0)), "at 405 nm the yield is 0 with relative uncertainty 0.03"),
         (lines((450.0, 405.0), (1.0, 1.0), 0.6), "measure this light longer"),
         (lines((450.0, 405.0, 405.0), (1.0, 1.0, 1.0)), "two yields have the same excitation"),
     ],
@@ -281,7 +283,7 @@ def test_unusable_yields_are_refused(yields, message):
 @pytest.mark.parametrize(
     ("emission", "message"),
     [
-        (np.ones((200, 3)), "emission draws have shape"),
+        (np.ones((200, 3)), "emission draws must be finite and of shape"),
         (np.where(GRID_NM < LASER_NM, 1.0, 0.0)[None].repeat(200, 0), "is 0 at all .* above the laser's 450 nm"),
     ],
 )

@@ -173,5 +173,5 @@ def test_a_shorter_exposure_is_used_when_the_paint_is_clipped(room):
 
 def test_a_session_without_room_light_is_refused(room):
     session, counts, optics = room
-    with pytest.raises(FitError, match=r"no 'room light' frame; capture the sample beside a ColorChecker"):
+    with pytest.raises(FitError, match=r"the 'room light' frame is missing; capture the sample beside a ColorChecker"):
         colour_checker_reflectance(session.model_copy(update={"frames": ()}), lambda frame: counts, optics)

@@ -90,8 +90,8 @@ def test_the_next_filter_is_where_the_posterior_is_widest():
     ("options", "match"),
     [
         ({"keep_nm": [406.0]}, "no filter of the rig is centred at 406 nm"),
-        ({"number": 1}, "filters were requested; give 2 to"),
-        ({"number": 200}, "filters were requested; give 2 to"),
+        ({"number": 1}, "the number of filters must be 2 to"),
+        ({"number": 200}, "the number of filters must be 2 to"),
     ],
 )
 def test_what_cannot_be_designed_is_refused(options, match):
@@ -102,7 +102,7 @@ def test_what_cannot_be_designed_is_refused(options, match):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("centre_nm,width_nm\n500,10\n", "lacks column peak_transmission"),
+        ("centre_nm,width_nm\n500,10\n", "the column peak_transmission is missing"),
         ("centre_nm,width_nm,peak_transmission\n", "holds no filter"),
         (
             "centre_nm,width_nm,peak_transmission\n500,10,90\n",

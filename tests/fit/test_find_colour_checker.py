@@ -48,13 +48,13 @@ def test_the_mismatch_tells_a_chart_from_one_that_is_turned_shifted_or_mirrored(
 def test_frames_without_a_chart_are_refused():
     rng = np.random.default_rng(1)
     image, _ = render(rng, 200, 0)
-    with pytest.raises(RadiometryError, match=r"no ColorChecker is found in the frame of 512 x 640 cells"):
+    with pytest.raises(RadiometryError, match=r"no ColorChecker was found in the frame of 512 x 640 cells"):
         find_colour_checker(np.abs(rng.normal(200, 20, image.shape)), REFERENCE)
     # The chart of another set of colours is seen by the detector and refused by its colours.
     recoloured = image[..., ::-1] ** 1.6
     with pytest.raises(
         RadiometryError,
-        match=r"no ColorChecker is found .*\(the colours of the best candidate "
+        match=r"no ColorChecker was found .*\(the colours of the best candidate "
         r"differ by",
     ):
         find_colour_checker(recoloured, REFERENCE)

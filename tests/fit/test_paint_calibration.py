@@ -167,7 +167,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
     unexplained = SimpleNamespace(filter_name="532", explained=False)
     said = fit_warnings(doubtful, (unexplained,), SimpleNamespace(mean_shift_sd={"kappa": -0.4}), True)
     for words in (
-        "cannot explain filter 532",
+        "cannot explain the frames of filter 532",
         "2 maxima of the posterior, with modes at 606, 561 nm",
         "sampling cannot be trusted",
         "emcee disagrees",
@@ -279,7 +279,9 @@ def test_a_light_too_dim_to_constrain_the_absorption_is_refused(bands):
     """Noise of a hundred times the signal leaves the yield to the prior, whose logarithm has an sd of 1.2."""
     noise = np.diag(np.full(24, (100 * bands.fluorescence.max()) ** 2))
     dim = under_another_light(bands, fluorescence_covariance=noise)
-    with pytest.raises(FitError, match=r"at 470 nm; the yield must be above 0 and its uncertainty within 0 to 0\.5"):
+    with pytest.raises(
+        FitError, match=r"at 470 nm .* the yield must be above 0, and its uncertainty above 0 and at most 0\.5"
+    ):
         calibrate_paint(bands, 1, FEW, other_lights=[dim])
 
 

@@ -223,7 +223,7 @@ def test_unusable_pixels_are_nan_and_counted(optics):
     assert np.isfinite(found.mode_nm[0, 1])
     assert (found.bands_used[0, 0], found.bands_used[0, 1]) == (3, 4)
     assert (found.unusable_pixels, found.fitted_pixels) == (2, 1022)
-    with pytest.raises(FitError, match=r"no pixel of 1024 has 4 usable bands; check the masks"):
+    with pytest.raises(FitError, match=r"none of 1024 pixels has 4 usable bands; check in the masks"):
         map_pixels(changed(made.pixels, usable=np.zeros_like(usable)), made.region, SPREAD)
 
 
@@ -275,7 +275,9 @@ def test_map_from_files(calibrated, optics, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "'orange' in 1024 pixels (zheng2014)" in said
     assert "energy yield: median" in said
-    with pytest.raises(FitError, match=r"orange\.pixels\.json: a map needs the fit of the region.*add --paint"):
+    with pytest.raises(
+        FitError, match=r"orange\.pixels\.json: --map needs --paint, the fit of the region.*add --paint"
+    ):
         run_map(Namespace(bands=files["bands"], paint=None, out=None))
 
 
@@ -283,12 +285,12 @@ def test_what_does_not_belong_together_is_refused(calibrated, optics):
     rng = np.random.default_rng(4)
     pixels = scene("zheng2014", optics, np.tile(center_of("zheng2014"), (64, 1)), rng).pixels
     with pytest.raises(
-        FitError, match="the pixels belong to paint 'green', but the fit to paint 'orange'; give the fit of the same"
+        FitError, match="the pixels are of paint 'green', but the fit is of paint 'orange'; give the fit of the same"
     ):
         map_paint(changed(pixels, paint_name="green"), calibrated)
     fewer = changed(optics, filters=optics.filters[:7])
     cut = {name: getattr(pixels, name)[:7] for name in ("fluorescence", "fluorescence_sd", "common_sd_rel")}
-    with pytest.raises(FitError, match=r"pixels \(7 filters\) are not those of the fit \(8 filters\)"):
+    with pytest.raises(FitError, match=r"pixels \(7 filters\) differ from those of the fit \(8 filters\)"):
         map_paint(changed(pixels, optics=fewer, **cut), calibrated)
     with pytest.raises(FitError, match=r"skew_t has 5 parameters.*choose zheng2014 or log_normal_wavenumber"):
         region_fit(calibrated.model_copy(update={"family": "skew_t"}))

@@ -79,7 +79,7 @@ def test_summary_of_normal_quantiles():
 
 
 def test_summary_of_too_few_or_lost_draws_is_refused():
-    with pytest.raises(FitError, match="at least 100 finite draws"):
+    with pytest.raises(FitError, match="at least 100 draws, all of them finite"):
         summarise(np.arange(99.0))
     with pytest.raises(FitError, match="1 of them not finite"):
         summarise(np.append(np.arange(200.0), np.nan))

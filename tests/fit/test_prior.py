@@ -84,11 +84,11 @@ def test_medians_of_the_log_normal_priors(prior):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"ln_fwhm_sd": 0.0}, "ln_fwhm_sd 0 must be positive"),
-        ({"peak_median_per_nm": -1.0}, "peak_median_per_nm -1 must be positive"),
-        ({"ln_blocking_sd": np.nan}, "ln_blocking_sd is nan; must be a finite number"),
-        ({"mode_sd_nm": np.inf}, "mode_sd_nm is inf; must be a finite number"),
-        ({"mode_mean_nm": np.nan}, "mode_mean_nm is nan; must be a finite number"),
+        ({"ln_fwhm_sd": 0.0}, "ln_fwhm_sd is 0, but must be positive"),
+        ({"peak_median_per_nm": -1.0}, "peak_median_per_nm is -1, but must be positive"),
+        ({"ln_blocking_sd": np.nan}, "ln_blocking_sd is nan, but must be a finite number"),
+        ({"mode_sd_nm": np.inf}, "mode_sd_nm is inf, but must be a finite number"),
+        ({"mode_mean_nm": np.nan}, "mode_mean_nm is nan, but must be a finite number"),
         ({"mode_low_nm": 720.0}, "must be below mode_high_nm 720 nm"),
     ],
 )

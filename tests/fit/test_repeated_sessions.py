@@ -137,14 +137,16 @@ def test_one_session_reduced_in_two_ways_is_refused(session):
 
     one, two = session(rng), session(rng)
     combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "b" * 64)])
-    with pytest.raises(FitError, match="sessions 1 and 2 were reduced from the same captured session: it would count"):
+    with pytest.raises(
+        FitError, match="sessions 1 and 2 were reduced from the same captured session, which would count"
+    ):
         combine_sessions([reduced_from(one, "a" * 64), reduced_from(two, "a" * 64)])
 
 
 def test_sessions_that_are_no_repeats_are_refused(session):
     rng = np.random.default_rng(1)
     one, two = session(rng), session(rng)
-    with pytest.raises(FitError, match="one session alone has nothing to be combined with"):
+    with pytest.raises(FitError, match="only one session is given, but at least two are needed"):
         combine_sessions([one])
     with pytest.raises(
         FitError, match=r"session 2 is of paint 'other', but the first is of paint .*; give sessions of one paint"
@@ -152,7 +154,7 @@ def test_sessions_that_are_no_repeats_are_refused(session):
         combine_sessions([one, two.model_copy(update={"paint_name": "other"})])
     laser = two.optics.laser.model_copy(update={"wavelength_nm": 405.0})
     with pytest.raises(
-        FitError, match=r"excited at 405 nm, the first at .*: give a session under another light with --other-light"
+        FitError, match=r"excited at 405 nm, but the first at .*; give a session under another light with --other-light"
     ):
         combine_sessions([one, two.model_copy(update={"optics": two.optics.model_copy(update={"laser": laser})})])
     white = two.optics.white_reference.model_copy(update={"reflectance": 0.9})

@@ -209,5 +209,5 @@ def test_other_band_signals_hold_no_budget(bands, paint):
     with pytest.raises(FitError, match="do not reproduce this calibration"):
         uncertainty_budget(other, paint)
     of_family = paint.model_copy(update={"spectrum_from": "log-normal"})
-    with pytest.raises(FitError, match="fit it without --family"):
+    with pytest.raises(FitError, match="fit the paint without --family"):
         uncertainty_budget(bands, of_family)

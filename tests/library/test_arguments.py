@@ -86,7 +86,7 @@ def test_progress_that_cannot_be_called_is_refused_before_the_work(lab, paint, t
     )
     for call in calls:
         with pytest.raises(
-            RecordError, match=r"progress=3: allowed are None or a function of three arguments \(steps done,"
+            RecordError, match=r"progress=3: must be None or a function of three arguments \(steps done,"
         ):
             call()
     assert not (tmp_path / "s").exists()
@@ -188,7 +188,7 @@ def test_a_file_that_cannot_be_written_is_told_in_words(home):
             finray.write_record(sweep(), place)
     with pytest.raises(RecordError, match=r"cannot be written: .*; choose another place"):
         sweep().plot().save("/proc/x.svg")
-    with pytest.raises(RecordError, match=r"a record is stored as \.json; choose a name that ends in it"):
+    with pytest.raises(RecordError, match=r"the name of a stored record must end in \.json; choose another name"):
         finray.write_record(sweep(), "x")
     finray.write_record(sweep(), "x.json")
     with pytest.raises(RecordError, match=r"x\.json: exists already and is not overwritten; choose another name"):
@@ -203,7 +203,7 @@ def test_a_folder_that_a_session_has_is_told_by_its_argument(lab):
 @pytest.mark.parametrize("increments", [0, 1001, 10**9, 2.5, True])
 def test_increments_that_no_press_takes_are_refused_before_the_work(increments):
     """10^9 of them did not end, whatever `budget_s` was."""
-    with pytest.raises(SimulateError, match="a whole number from 1 to 1000 is needed"):
+    with pytest.raises(SimulateError, match="must be a whole number from 1 to 1000"):
         finray.press_finger("flat-70x35", increments=increments, budget_s=1.0)
 
 

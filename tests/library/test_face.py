@@ -61,12 +61,12 @@ def test_another_package_of_the_same_name_is_named(tmp_path, monkeypatch):
     require_own_packages(tmp_path, ("simulacrum",))
     with pytest.raises(
         ImportError,
-        match=r"its own package 'simulacrum', .* another package of this name at "
+        match=r"its own package 'simulacrum', .* a different package of the same name at "
         r".*simulacrum/__init__\.py; ren",
     ):
         require_own_packages(ROOT, ("simulacrum",))
     with pytest.raises(
-        ImportError, match=r"needs its package 'nowhere_at_all' beside it in .*; install finray-calib again"
+        ImportError, match=r"needs the package 'nowhere_at_all', but it is missing from .*; install finray-calib again"
     ):
         require_own_packages(ROOT, ("nowhere_at_all",))
 

@@ -64,7 +64,7 @@ def test_maps_are_not_begun_when_their_name_is_taken(session, tmp_path) -> None:
 
 
 def test_whole_frame_without_a_map_is_refused(session, tmp_path) -> None:
-    with pytest.raises(RadiometryError, match=r"--whole-frame: .* give --pixels too"):
+    with pytest.raises(RadiometryError, match=r"--whole-frame works only with --pixels, .* add --pixels"):
         run(session[0], "--whole-frame", "--out", tmp_path / "x.json")
 
 
@@ -103,7 +103,9 @@ def test_camera_session_becomes_a_characterisation_that_the_paint_session_uses(
 
 def test_what_is_for_paint_sessions_is_refused_for_a_camera_session(camera_folder, tmp_path) -> None:
     for option in (["--pixels"], ["--camera", tmp_path / "x.json"]):
-        with pytest.raises(RadiometryError, match="is a camera session; --camera and --pixels are for paint sessions"):
+        with pytest.raises(
+            RadiometryError, match="is a camera session, but --camera and --pixels are only for paint sessions"
+        ):
             run(camera_folder, *option)
 
 
@@ -129,5 +131,5 @@ def test_record_and_page_cannot_be_one_file(camera_folder, tmp_path) -> None:
 
 
 def test_the_page_of_a_paint_session_is_refused(session, tmp_path) -> None:
-    with pytest.raises(RadiometryError, match="is a paint session; --report is for camera sessions"):
+    with pytest.raises(RadiometryError, match="is a paint session, but --report is only for camera sessions"):
         run(session[0], "--report", tmp_path / "page.html")

@@ -156,7 +156,7 @@ def test_the_report_of_the_demo_shows_the_pressed_finger_and_what_nobody_measure
     bare = example_results()
     results = replace(bare, mechanics=mechanics, surfaces=surfaces)
     simulated, compared = simulate_section(results), compare_section(results)
-    assert "6.00 N at a push of 3 mm, a force that no measurement has confirmed" in simulated.lead
+    assert "6.00 N at a push of 3 mm. No measurement has confirmed this force" in simulated.lead
     assert simulated.picture_rows[0][0].source.startswith("data:image/png;base64,")
     assert "so the score does not test the mechanics" in compared.lead
     assert len(simulate_section(bare).picture_rows) == len(simulated.picture_rows) - 1

@@ -358,7 +358,7 @@ def test_the_command_answers_by_a_surrogate(command: str, tmp_path: Path) -> Non
 def test_the_command_falls_back_on_finite_elements(command: str, tmp_path: Path) -> None:
     outcome = finray(f"{command}/sure.press.json --largest-error 0.00001 --increments 1")
     assert outcome.status == 0, outcome.err
-    assert "the surrogate is not used: its force may be wrong by" in outcome.err
+    assert "the surrogate is not used, because its force may be wrong by" in outcome.err
     stored = read_record(tmp_path / "sure.mechanics.json", PressMechanics)
     assert stored.surrogate is None
     assert stored.label.startswith("finite elements")

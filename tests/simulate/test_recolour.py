@@ -242,7 +242,7 @@ def test_the_verb_writes_a_new_record_and_tells_mistakes(exciting, tmp_path, cap
     assert status == 0, told
     assert (tmp_path / "a-recoloured.json").exists()
     for options, message in (
-        ([], "no change is given"),
+        ([], "no change was requested"),
         (["--paint", "red=r.json"], "give both red=FILE and green=FILE"),
         (["--white-balance", "2:1:1"], "a-recoloured.json: exists already"),
     ):
