@@ -577,7 +577,7 @@ CASES = (
     Case(
         "columns of pairs",
         "compare --pairs {tmp}/pairs.csv --out {tmp}/c",
-        r"pairs\.csv: row 1: needs a file in each of the columns simulated and captured; the row has sim = a, cap = b",
+        r"row 1: must name a file in both columns, simulated and captured, but the row has sim = a, cap = b",
         file("pairs.csv", "sim,cap\na,b\n"),
     ),
     Case(
@@ -868,27 +868,27 @@ CASES = (
     Case(
         "three angles",
         "decide {lab}/short-sweep.json",
-        r"short-sweep\.json: The sweep has 3 angles; at least 4 are need",
+        r"short-sweep\.json: The sweep has only 3 angles, but at least 4 are need",
     ),
     Case(
         "report on encoded values",
         "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
-        r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* on both sides: render the press",
+        r"sweep\.json and \S+encoded-report\.json: .*contains no brightness error, .* on both sides: render the press",
     ),
     Case(
         "one capture twice",
         "decide {lab}/sweep.json --photometric-error {lab}/report.json --photometric-error {lab}/report.json",
-        r"two reports are on the capture 'capture of the strip': the same capture would count twice\. Give one report",
+        r"two reports are on the capture 'capture of the strip', which would count twice\. Give one report",
     ),
     Case(
         "one touch twice",
         "decide {lab}/sweep.json {lab}/sweep.json",
-        r"two sweeps belong to the same touch \(position_mm = 35 mm\): the touch would count twice",
+        r"two sweeps belong to the same touch \(position_mm = 35 mm\), which would count twice",
     ),
     Case(
         "weights that do not fit",
         "decide {lab}/sweep.json --weights 1,2",
-        r"weights \[1\.0, 2\.0\] do not fit one sweep: give one number above 0 for each sweep",
+        r"weights \[1\.0, 2\.0\] do not fit one sweep; give one number above 0 for each sweep",
     ),
     # import and demo
     Case(

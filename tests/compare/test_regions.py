@@ -81,5 +81,5 @@ def test_tile_side_shrinks_for_small_regions():
     assert tile_side_px(square) == 4
     small = disc((40, 40), (20, 20), 6.0)
     assert tile_indices(small, tile_side_px(small)).max() + 1 >= MINIMUM_TILES
-    with pytest.raises(CompareError, match=r"has 9 usable pixels; an interval needs at least 12"):
+    with pytest.raises(CompareError, match=r"has only 9 usable pixels, but an interval needs at least 12"):
         tile_side_px(np.ones((3, 3), bool))

@@ -317,7 +317,7 @@ def test_texts_dicts_and_sets_are_no_lists_of_numbers(lab, paint):
         with pytest.raises(SimulateError, match="a list of finite angles in deg is needed"):
             finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
     for weights in ("1", {1: "a"}, {1.0}):
-        with pytest.raises(DecideError, match="give one number above 0 for each sweep, in their order"):
+        with pytest.raises(DecideError, match="give one number above 0 for each sweep, in the order of the sweeps"):
             finray.decide_light_angle(lab / "sweep.json", weights=weights)
     for several in ({lab / "bands.json": 1}, {lab / "bands.json"}):
         with pytest.raises(RecordError, match="bands: a list is needed"):
