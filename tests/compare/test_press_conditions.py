@@ -24,8 +24,8 @@ def pair(rendered=None, **captured):
     [
         (
             {"shape": "ball", "radius_mm": 4.0},
-            r"strip presses a cylinder of radius 10 mm, but capture of the strip presses a ball of radius 4 mm; simulate "
-            r"with the capture's indenter\.shape",
+            r"strip presses a cylinder of radius 10 mm, but capture of the strip presses a ball of radius 4 mm; "
+            r"simulate with the capture's indenter\.shape",
         ),
         ({"shape": "mesh"}, "strip presses a cylinder of radius 10 mm, but capture of the strip presses a mesh;"),
         (
