@@ -575,9 +575,7 @@ class SurrogateFinger:
         """Return why an answer is not to be taken."""
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
-                return (
-                    f"its {what} may be wrong by {100 * share:.1f} %, beyond the {100 * self.limit_rel:.1f} % allowed"
-                )
+                return f"its {what} may be wrong by {100 * share:.1f} % (at most {100 * self.limit_rel:.1f} % allowed)"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
             squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]

@@ -380,7 +380,7 @@ CASES = (
     Case(
         "classic sensor for a finger",
         "simulate press {tmp}/sensor.toml",
-        r"sensor\.toml: is the design of a classic sensor, but the design of a finger is needed; 'finray design init",
+        r"sensor\.toml: contains the design of a classic sensor, but the design of a finger is needed; 'finray design",
         file("sensor.toml", 'kind = "sensor"\npreset = "digit"\n'),
     ),
     Case(
@@ -645,20 +645,20 @@ CASES = (
     Case(
         "indenter that starts inside the finger",
         MECHANICS,
-        r"the indenter starts inside the finger: .* check indenter\.file, position_mm, across_mm and rotation_deg",
+        r"the indenter starts inside the finger, .* check indenter\.file, position_mm, across_mm and rotation_deg",
         # a second body far below, in the base plate
         with_indenter(np.vstack([CUBE, CUBE - [0.0, 14.0, 43.0]]), np.vstack([FACETS, FACETS + 8])),
     ),
     Case(
         "open STL",
         MECHANICS,
-        r"body\.stl: is open: 3 edges belong to one triangle only .* close it in a modelling",
+        r"body\.stl: the body is not closed, because 3 edges belong to only one triangle .* close the body",
         with_indenter(CUBE, FACETS[1:]),
     ),
     Case(
         "STL in metres",
         MECHANICS,
-        r"body\.stl: .* looks like a file in metres: export it in mm",
+        r"body\.stl: .* seems to be in metres; export it in mm",
         with_indenter(1e-3 * CUBE, FACETS),
     ),
     Case(
@@ -670,7 +670,7 @@ CASES = (
     Case(
         "name of a ready-made finger for its file",
         "simulate press flat-70x35",
-        r"flat-70x35: no such file; write it first: finray design init flat-70x35, then give flat-70x35\.toml",
+        r"flat-70x35: no such file; write it with 'finray design init flat-70x35', then give flat-70x35\.toml",
     ),
     Case(
         "no surrogate",
@@ -693,7 +693,7 @@ CASES = (
     Case(
         "too few presses for teaching",
         "simulate teach {tmp}/finger.toml --presses 3",
-        r"finger\.toml: 3 presses are too few; at least 20 are needed",
+        r"finger\.toml: 3 presses are too few; give at least 20",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
@@ -818,7 +818,7 @@ CASES = (
     Case(
         "objectives of sensing by the scalar renderer",
         SWEEP + " --angles 0:90:30 --engine scalar --objectives all",
-        r"needs a compiled variant of Mitsuba; leave out --engine scalar",
+        r"needs a compiled variant of Mitsuba, .*; leave out --engine scalar",
     ),
     Case(
         "sweep of the paper's emitter",
@@ -840,7 +840,7 @@ CASES = (
     Case(
         "indenter through the pad",
         BAD_FINGER,
-        r"indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
+        r"indenter\.depth_mm = 6\.5 mm goes through the pad, but must be below .* 6\.0 mm",
         edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
     ),
     Case("place off the pad", SWEEP + " --angles 0:90:30 --positions 8,90", r"90 mm is not on the pad, .* 0 to 70 mm"),
@@ -853,12 +853,12 @@ CASES = (
     Case(
         "images of different size",
         "compare {lab}/press.json {lab}/cut-capture.json",
-        r"press\.json and \S+cut-capture\.json: strip has 80 x 60 px, .* has 80 x 40 px: simulate with the camera of",
+        r"press\.json and \S+cut-capture\.json: strip has 80 x 60 px, .* has 80 x 40 px; simulate with the camera of",
     ),
     Case(
         "black render",
         "compare {lab}/black-press.json {lab}/capture.json",
-        r"black-press\.json and \S+capture\.json: no exposure factor fits: .* is black over the region; check the",
+        r"black-press\.json and \S+capture\.json: no exposure factor fits, because .* is black over the region; check",
     ),
     Case(
         "compare exchanged",
@@ -873,7 +873,7 @@ CASES = (
     Case(
         "report on encoded values",
         "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
-        r"sweep\.json and \S+encoded-report\.json: .*contains no brightness error, .* on both sides: render the press",
+        r"sweep\.json and \S+encoded-report\.json: .*contains no brightness error, .* on both sides; render the press",
     ),
     Case(
         "one capture twice",
@@ -997,7 +997,7 @@ CASES = (
     Case(
         "parts of a classic sensor",
         "design export digit",
-        r"digit: is a ready-made classic sensor, but a finger is needed",
+        r"digit: is a classic sensor, but a finger is needed",
     ),
     Case(
         "folder without pictures of a board", "sense scale {lab}", r": holds no tactile session \(session\.json\); give"

@@ -53,7 +53,7 @@ def test_usable_pixels_drop_what_is_not_finite_and_refuse_wrong_shapes():
     image[2, 3, 0] = np.inf
     everywhere = np.ones((3, 4), bool)
     assert usable_pixels(everywhere, image, np.ones_like(image)).sum() == 10
-    with pytest.raises(CompareError, match=r"one shape .* \(3, 4, 2\), \(3, 4, 3\)"):
+    with pytest.raises(CompareError, match=r"the same shape .* \(3, 4, 2\), \(3, 4, 3\)"):
         usable_pixels(everywhere, image, np.ones((3, 4, 3)))
     with pytest.raises(CompareError, match=r"one shape .* \(3, 4\)"):
         usable_pixels(everywhere, np.ones((3, 4)))

@@ -188,7 +188,10 @@ def test_no_report_is_no_capture():
 
 def test_what_would_mislead_is_refused():
     good = report("a", 30.0, objective_error(np.zeros(3)))
-    with pytest.raises(DecideError, match=r"two reports are on the capture 'a': .* Give one report for each capture"):
+    with pytest.raises(
+        DecideError,
+        match=r"two reports are on the capture 'a', which would count twice. Give one report for each capture",
+    ):
         capture_errors(sweep_record(), [good, report("b", 30.0, objective_error(np.zeros(3))), good])
     with pytest.raises(
         DecideError,

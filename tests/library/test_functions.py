@@ -137,7 +137,7 @@ def test_swapped_paints_are_refused_unless_meant(lab, paint):
     bluer = paint.model_copy(update={"parameters": {**paint.parameters, "mode_nm": shifted}})
     with pytest.raises(
         SimulateError,
-        match=r"look swapped\. Exchange them, or give --paints-as-given \(from Python paints_as_given=True\)",
+        match=r"look swapped.* Exchange the paints, or give --paints-as-given \(from Python paints_as_given=True\)",
     ):
         finray.render_press(lab / "finger.toml", red=bluer, green=paint)
     press = finray.render_press(
@@ -284,7 +284,9 @@ def test_one_capture_under_two_names_does_not_count_twice(lab):
     again = capture.model_copy(update={"name": "again"})
     finger = finray.finger_design()
     sensor = PlainSensor(pad=finger.pad, indenter=finger.indenter)
-    with pytest.raises(SimulateError, match=f"again holds the same picture as {capture.name}: it would count twice"):
+    with pytest.raises(
+        SimulateError, match=f"again contains the same picture as {capture.name}, which would count twice"
+    ):
         finray.fit_sensor(sensor, [capture, again])
 
 
