@@ -446,8 +446,8 @@ def headline(
         above = above_best(np.array(losses))
         return (
             f"{angle}: {simulated}at each of the {span_of(contacts)} the error of the sensed normal is at most "
-            f"{percent(above.max())} larger than at the best angle for that place, and "
-            f"{percent(float(above @ weights))} on average over them."
+            f"{percent(above.max())} larger than at that place's best angle, and {percent(float(above @ weights))} on "
+            "average over them."
         )
     average, span = float(np.dot(weights, losses)), span_of(contacts)
     touched = f"the touch at each of the {span}" if " places " in span else f"each of the {span}"
