@@ -91,8 +91,8 @@ def decided_on(
         raise DecideError(
             f"a decision on the error of the normal cannot use {'reports on captures' if captured else 'weights'}, "
             "because "
-            f"{'reports measure the brightness' if captured else 'weights apply to touches, this error to places'}. "
-            "Leave them out, or decide on the brightness (--aim brightness)"
+            f"{'reports measure the brightness' if captured else 'weights apply to touches, but this error to places'}"
+            ". Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:
         raise DecideError(

@@ -55,7 +55,7 @@ def test_usable_pixels_drop_what_is_not_finite_and_refuse_wrong_shapes():
     assert usable_pixels(everywhere, image, np.ones_like(image)).sum() == 10
     with pytest.raises(CompareError, match=r"the same shape .* \(3, 4, 2\), \(3, 4, 3\)"):
         usable_pixels(everywhere, image, np.ones((3, 4, 3)))
-    with pytest.raises(CompareError, match=r"one shape .* \(3, 4\)"):
+    with pytest.raises(CompareError, match=r"the same shape .* \(3, 4\)"):
         usable_pixels(everywhere, np.ones((3, 4)))
     with pytest.raises(CompareError, match=r"mask has shape \(4, 3\) but the images are 3 x 4 px"):
         usable_pixels(everywhere.T, image)

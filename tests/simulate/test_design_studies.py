@@ -119,7 +119,7 @@ def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
             vary("pad.length_mm", [-3.0]),
             r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): must be",
         ),
-        (vary("preset", ["flat"]), r"there is no preset design 'flat'; there are flat-70x35"),
+        (vary("preset", ["flat"]), r"there is no preset design 'flat'; valid names are flat-70x35"),
         (vary("preset", [3]), r"preset must be the name of a ready-made finger, got 3"),
         (vary("seed", [-1]), r"seed must be a whole number of 0 or more, got -1"),
     ],

@@ -220,11 +220,11 @@ def written(path, last_excitation_nm=800, last_emission_nm=800):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--green {paint}", "a measured re-radiation matrix for red or green is missing .--red CSV --green"),
+        ("--green {paint}", "a measured re-radiation matrix for red or green is missing; .* .--red CSV --green"),
         ("--red {tmp}/no.csv --green {paint}", r"no\.csv: no such file; give the path of a"),
         ("--red {tmp} --green {paint}", "cannot be read|is a folder"),
         ("--red {blue} --green {paint}", r"blue\.csv: covers excitation 300 to 420 nm .* up to the laser at 450 nm"),
-        ("--red {cut} --green {paint}", r"cut\.csv: covers .* emission 380 to 700 nm; .* emission from 470 to 780 nm"),
+        ("--red {cut} --green {paint}", r"cut\.csv: covers .* emission 380 to 700 nm, .* emission from 470 to 780 nm"),
         ("--red {paint} --green {paint}", "material paint is given twice; give each file once, for one colour"),
         ("--red {paint} --green {other} --out {tmp}", "exists already and is not overwritten"),
     ],

@@ -177,9 +177,9 @@ class TestHeightMaps:
         ("values", "fields", "message"),
         [
             (np.zeros(5), {}, r"rows and 2 columns, got shape \(5,\)"),
-            (np.full((200, 200), np.nan), {}, "finite numbers in rows and columns"),
+            (np.full((200, 200), np.nan), {}, "finite numbers in at least 2 rows"),
             (np.full((30, 30), 0.5), {}, r"ends on the pad with a step of 0\.5 mm, but at most 0\.05 mm"),
-            (np.full((400, 400), 800.0), {}, r"reaches down to -796 mm above .*\(check unit_mm"),
+            (np.full((400, 400), 800.0), {}, r"reaches down to -796 mm above .*; check unit_mm"),
             (
                 np.full((400, 400), 4.0),
                 {"position_mm": 900.0},
