@@ -97,7 +97,7 @@ def test_a_number_that_changes_the_mesh_is_pressed_again(pressed):
 
 
 def test_presses_by_the_barrier_have_none(pressed):
-    with pytest.raises(SimulateError, match="derivatives need a press .* with penalty contact"):
+    with pytest.raises(SimulateError, match=r"derivatives need a press .* with penalty contact"):
         press_derivatives(design(), replace(pressed, kind="barrier"), {}, SETTINGS)
 
 

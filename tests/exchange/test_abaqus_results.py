@@ -69,8 +69,8 @@ def test_trimmed_blanks_do_no_harm(tmp_path):
     [
         ("\0\0\x10\0binary", "not an Abaqus results file in ASCII"),
         (lines(VERSION), "contains no displacements"),
-        (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3)[:-30]), "is damaged"),
-        (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3).replace("D ", "X ", 1)), "is damaged"),
+        (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3)[:-30]), "is corrupted"),
+        (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3).replace("D ", "X ", 1)), "is corrupted"),
         (lines(VERSION, "*I 19" + record(101, 7, 0.1, 0.2, 0.3)[5:]), "has 6 items but states 9"),
     ],
 )
