@@ -167,9 +167,7 @@ def decide(
     """
     for name, choice, allowed in (("criterion", criterion, get_args(Criterion)), ("aim", aim, (None, *get_args(Aim)))):
         if choice not in allowed:
-            raise DecideError(
-                f"{name}={choice!r} is not a valid choice; it must be one of {', '.join(map(repr, allowed))}"
-            )
+            raise DecideError(f"{name}={choice!r} is unknown; it is one of {', '.join(map(repr, allowed))}")
     swept = [sweeps] if isinstance(sweeps, LightAngleSweep) else list(sweeps)
     on = decided_on(swept, weights, narrow_sweep, aim, bool(reports))
     of_finger, of_sweep = require_one_finger(swept, reports)

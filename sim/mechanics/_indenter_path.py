@@ -261,10 +261,7 @@ def press_along(
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
-        raise SimulateError(
-            "--contact barrier is not supported for an indenter with a path ([[indenter.path]]), which may turn it; "
-            "leave --contact out"
-        )
+        raise SimulateError("--contact barrier is not supported with [[indenter.path]]; leave --contact out")
     watch = Watch(progress, path.total, settings.budget_s)
     touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)
