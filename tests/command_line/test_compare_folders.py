@@ -104,7 +104,7 @@ def test_a_relative_comparison_says_so_everywhere_and_suggests_no_decision(folde
     assert read_record(folders / "out" / batch.pairs[1].report, PhotometricErrorReport).relative
     for page in ("summary", "one.photometric-error"):
         text = (folders / f"out/{page}.html").read_text()
-        assert "Relative: the captured image without contact replaces the render's" in text
+        assert "Relative: the captured image without contact replaces the render" in text
     one = f"compare {folders}/simulated/one.press.json {folders}/captured/one.capture.json"
     relative = finray(f"{one} --relative --out {folders}/relative.json")
     absolute = finray(f"{one} --out {folders}/absolute.json")
