@@ -818,7 +818,7 @@ CASES = (
     Case(
         "objectives of sensing by the scalar renderer",
         SWEEP + " --angles 0:90:30 --engine scalar --objectives all",
-        r"needs a compiled variant of Mitsuba, .*; leave out --engine scalar",
+        r"need a compiled variant of Mitsuba, .*; leave out --engine scalar",
     ),
     Case(
         "sweep of the paper's emitter",
