@@ -152,7 +152,7 @@ def preset_design(name: str) -> FingerDesign:
         When there is none of this name; the message lists them.
     """
     if name not in PRESETS:
-        raise SimulateError(f"there is no preset design '{name}'; there are {', '.join(PRESETS)}")
+        raise SimulateError(f"there is no preset design '{name}'; valid names are {', '.join(PRESETS)}")
     return PRESETS[name][1](name)
 
 
@@ -325,8 +325,8 @@ def read_design(path: Path) -> FingerDesign:
         preset = written.pop("preset", None)
         if tables.get("kind") == "sensor":
             raise RecordError(
-                f"{path}: is the design of a classic sensor, but the design of a finger is needed; 'finray design init "
-                "flat-70x35' writes one"
+                f"{path}: contains the design of a classic sensor, but the design of a finger is needed; 'finray "
+                "design init flat-70x35' writes one"
             )
         if preset is None:
             _require_tables(path, written, FingerDesign)
@@ -335,10 +335,10 @@ def read_design(path: Path) -> FingerDesign:
 
     if not path.exists() and str(path) in SENSORS:
         raise SimulateError(
-            f"{path}: is a ready-made classic sensor, but a finger is needed: {', '.join(PRESETS)}, or a design file"
+            f"{path}: is a classic sensor, but a finger is needed; give {', '.join(PRESETS)} or a design file"
         )
     if path.name == str(path) and path.name in PRESETS and not path.exists():
-        raise RecordError(f"{path}: no such file; write it first: finray design init {path}, then give {path}.toml")
+        raise RecordError(f"{path}: no such file; write it with 'finray design init {path}', then give {path}.toml")
     return read_toml(path, FingerDesign, complete)
 
 
@@ -348,7 +348,7 @@ def _onto_preset(
     """Return the tables of a ready-made design with those of a file over them; what is changed loses its origin."""
     if not isinstance(preset, str):
         kind = "finger" if ready_made is preset_design else "sensor"
-        raise RecordError(f"{path}: preset = {preset!r} must be the name of a ready-made {kind}")
+        raise RecordError(f"{path}: preset must be the name of a ready-made {kind}, got {preset!r}")
     try:
         ready = ready_made(preset)
     except SimulateError as error:
@@ -370,8 +370,8 @@ def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseMode
     missing = [name for name in wanted if not isinstance(_at(written, name), dict)]
     if missing:
         raise RecordError(
-            f"{path}: is not a complete finger, because it lacks {', '.join(f'[{name}]' for name in missing)}; write "
-            "what is missing (finray design init writes a complete finger), or take it from a ready-made one: "
+            f"{path}: is not a complete finger, because it lacks {', '.join(f'[{name}]' for name in missing)}; add "
+            "what is missing ('finray design init' writes a complete finger), or start from a ready-made finger with "
             "preset = \"flat-70x35\" above the first table ('finray design list' lists them)"
         )
 
@@ -568,7 +568,7 @@ def preset_sensor(name: str) -> PlainSensor:
         When there is none of this name; the message lists them.
     """
     if name not in SENSORS:
-        raise SimulateError(f"there is no preset sensor '{name}'; there are {', '.join(SENSORS)}")
+        raise SimulateError(f"there is no preset sensor '{name}'; valid names are {', '.join(SENSORS)}")
     return SENSORS[name][1](name)
 
 
@@ -629,7 +629,7 @@ def is_sensor(path: Path) -> bool:
     tables = read_toml_tables(path)
     kind = tables.get("kind")
     if kind is not None and kind not in KINDS:
-        raise RecordError(f"{path}: kind = {kind!r} must be {' or '.join(map(repr, KINDS))}")
+        raise RecordError(f"{path}: kind must be {' or '.join(map(repr, KINDS))}, got {kind!r}")
     return kind == "sensor" or (kind is None and tables.get("preset") in SENSORS)
 
 
@@ -653,7 +653,7 @@ def read_sensor(path: Path) -> PlainSensor:
         if preset is None:
             return written
         if isinstance(preset, str) and preset in PRESETS:
-            raise RecordError(f'{path}: preset = "{preset}" is a finger; leave out kind = "sensor"')
+            raise RecordError(f'{path}: kind = "sensor" does not fit the finger preset = "{preset}"; leave out kind')
         return _onto_preset(path, preset, preset_sensor, written)
 
     return read_toml(path, PlainSensor, complete)

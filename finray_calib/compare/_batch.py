@@ -87,7 +87,7 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
         There is none, one does not tell where its contact is, or images differ in size.
     """
     if not captures:
-        raise CompareError("a table needs at least one press to train on")
+        raise CompareError("no press was given, but a table needs at least one press to train on")
     distances = [_distance(capture) for capture in captures]
     shape = distances[0].shape
     width_px = float(np.mean([_half_width_px(d) for d in distances]))
@@ -95,8 +95,8 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
     for capture, distance in zip(captures, distances, strict=True):
         if distance.shape != shape:
             raise CompareError(
-                f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px, {captures[0].name} {shape[1]} x "
-                f"{shape[0]} px; train with captures of one camera"
+                f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px but {captures[0].name} is {shape[1]} "
+                f"x {shape[0]} px; train with captures of one camera"
             )
         contact, level = levelled_images(capture, distance)
         used = _near(distance) & np.isfinite(contact + level).all(axis=-1) & (level > 0.0).all(axis=-1)
@@ -143,15 +143,16 @@ def predict_press(table: PressTable, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in table.training_sha256:
         raise CompareError(
-            f"{capture.name}: its contact image was used to train the table ({', '.join(table.training_presses)}), so "
-            "the table's prediction of this press proves nothing; leave the press out"
+            f"{capture.name}: the table was trained on this contact image (training presses: "
+            f"{', '.join(table.training_presses)}), so the table's prediction of this press proves nothing; leave the "
+            "press out"
         )
     distance = _distance(capture)
     if distance.shape != table.shape_px:
         height_px, width_px = table.shape_px
         raise CompareError(
-            f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px, the training presses of the table are "
-            f"{width_px} x {height_px} px; compare captures of the same camera"
+            f"{capture.name} is {distance.shape[1]} x {distance.shape[0]} px, but the training presses of the table "
+            f"are {width_px} x {height_px} px; compare captures of the same camera"
         )
     ratio = np.ones((*distance.shape, 3))
     near = np.flatnonzero(_near(distance))
@@ -215,7 +216,8 @@ def _distance(capture: TactileCapture) -> Floats:
     distance = contact_distance(capture)
     if distance is None:
         raise CompareError(
-            f"{capture.name}: does not state where its contact is; import it with a circle, an outline or a search"
+            f"{capture.name}: the capture does not state where the contact is; import the capture with a circle, an "
+            "outline or a search"
         )
     return distance
 
@@ -279,9 +281,9 @@ def pair_by_name(simulated: Iterable[str], captured: Iterable[str]) -> tuple[dic
     names = sorted(first.keys() & second.keys())
     if not names:
         raise CompareError(
-            f"no press has a capture of its name ({len(first)} presses, {len(second)} captures): name them "
-            "one.press.json and one.capture.json, or list the pairs in a CSV file with columns simulated, captured "
-            "(--pairs)"
+            f"no simulated press and capture have the same name ({len(first)} presses, {len(second)} captures); give "
+            "each pair one name, such as one.press.json and one.capture.json, or list the pairs in a CSV file with the "
+            "columns simulated and captured (--pairs)"
         )
     alone = [file for side, other in ((first, second), (second, first)) for n, file in side.items() if n not in other]
     return {name: (first[name], second[name]) for name in names}, sorted(alone)
@@ -329,13 +331,13 @@ def pairs_of_rows(rows: Sequence[Mapping[str, str | None]]) -> list[PairRow]:
         if not simulated or not captured:
             words = ", ".join(f"{column} = {cell}" for column, cell in told.items()) or "no cell"
             raise CompareError(
-                f"row {number}: needs a file in each of the columns simulated and captured; the row has {words}"
+                f"row {number}: must name a file in both columns, simulated and captured, but the row has {words}"
             )
         name = told.get("name") or pair_name(captured.replace("\\", "/").rsplit("/", 1)[-1])
         simulator, press = told.get("simulator", ""), told.get("press", "")
         if (simulator, name) in pairs:
             raise CompareError(
-                f"row {number}: the name {name!r} occurs twice; add a column 'name' that gives each pair its own"
+                f"row {number}: the name {name!r} occurs twice; give each pair a unique name in the column 'name'"
             )
         session, sensor = told.get("session") or None, told.get("sensor") or None
         pairs[simulator, name] = PairRow(name, simulated, captured, simulator, press, session, sensor)
@@ -591,8 +593,8 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
     told = []
     if len(names) < LEAST_UNITS:
         told.append(
-            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: an interval needs {LEAST_UNITS}, "
-            f"and there are {len(names)}"
+            f"{_more(LEAST_UNITS - len(names))}, at other places and depths: an interval needs at least {LEAST_UNITS} "
+            f"presses, got {len(names)}"
         )
     best = skill_over_presses(scored)
     if best is not None and best.low95 is not None and best.high95 is not None:
@@ -600,13 +602,13 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
         wanted = int(np.ceil(best.units * (half / _NARROW) ** 2))
         if half > _NARROW and wanted <= _MOST_ASKED:
             told.append(
-                f"{wanted - best.units} more {_MANY[best.unit]}: the interval of {best.units} is {half:.2g} to either "
-                f"side, that of {wanted} would be about {_NARROW:g}"
+                f"{wanted - best.units} more {_MANY[best.unit]}: the interval reaches {half:.2g} to either side with "
+                f"{best.units}, and would reach about {_NARROW:g} with {wanted}"
             )
         elif half > _NARROW:
             told.append(
                 f"presses similar to the worst ones, to learn what makes them worse: the interval of {best.units} "
-                f"{_MANY[best.unit]} is {half:.2g} to either side, and more presses alone would hardly narrow it"
+                f"{_MANY[best.unit]} reaches {half:.2g} to either side, and more presses alone would hardly narrow it"
             )
     told += [f"{what}: {why}" for is_missing, what, why in _lacking(scored) if is_missing]
     return tuple(told)

@@ -497,9 +497,9 @@ def _check_words(plug_in: PlugIn, metric: Any) -> None:
     for attribute in ("UNIT", "WORDS"):
         told = getattr(metric, attribute)
         if not isinstance(told, str) or not told.strip():
-            raise plug_in.refusal(f"has {attribute} = {told!r}, where a text is needed")
+            raise plug_in.refusal(f"has {attribute} = {told!r}, but the value must be a non-empty text")
     if metric.BETTER not in ("higher", "lower"):
-        raise plug_in.refusal(f'has BETTER = {metric.BETTER!r}, where "higher" or "lower" is needed')
+        raise plug_in.refusal(f'has BETTER = {metric.BETTER!r}, but the value must be "higher" or "lower"')
 
 
 def _metric_value(plug_in: PlugIn, metric: Any, candidate: Floats, comparison: Comparison) -> float:

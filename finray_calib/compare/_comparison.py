@@ -52,8 +52,8 @@ def channel_weights(no_contact: NDArray[np.float64], mask: NDArray[np.bool_]) ->
     mean = np.einsum("pc->c", pixels_within(image, used)) / np.count_nonzero(used)
     if (mean <= 0).any():
         raise CompareError(
-            f"Channel {int(np.argmin(mean))} of the no-contact image has mean {mean.min():.3g} over the region; "
-            "relative weights need a positive mean. Check the black level."
+            f"Channel {int(np.argmin(mean))} of the no-contact image has a mean of {mean.min():.3g} over the region, "
+            "but relative weights need a positive mean. Check the black level."
         )
     return np.asarray(1 / mean**2)
 
@@ -103,8 +103,8 @@ def exposure_fit(layers: RenderLayers, no_contact: Floats, variance: Floats, use
     levels = layers.matrix @ simulated
     if not (captured > 0.0).all() or not float((levels / captured).mean()) > 0.0:
         raise CompareError(
-            "no exposure factor fits: the render or the capture without contact is black over the region; check the "
-            "light and the black level"
+            "no exposure factor fits, because the render or a channel of the capture without contact is black over the "
+            "region; check the light and the black level"
         )
     # 1 / k is a mean over channels of S0 / B, whose channels share the noise of the render's layers
     of_render = (layers.rgb(layers.no_contact_half)[used] / captured).mean(axis=1) ** 2
@@ -173,9 +173,8 @@ def part_levels(layers: RenderLayers, captured: Captured, used: Bools, pose_name
             masks.append(where)
     if not masks:
         raise CompareError(
-            f"no part of the region ({PARTS_A_SIDE} x {PARTS_A_SIDE}) holds at least {_LEAST_PIXELS} pixels with light "
-            "captured in every channel: take a larger image, or "
-            "capture with more light"
+            f"the region was divided into {PARTS_A_SIDE} x {PARTS_A_SIDE} parts, but none has at least {_LEAST_PIXELS} "
+            "usable pixels and light in every channel; take a larger image, or capture with more light"
         )
     pixels = np.array([int(m.sum()) for m in masks])
     halves = [
@@ -325,7 +324,7 @@ def prepare_comparison(
         If no region is given, shapes differ, or contact changes nothing in a region.
     """
     if not regions:
-        raise CompareError("no region to compare: give the contact region, and a wider one around it")
+        raise CompareError("no region to compare is given; give the contact region, and a wider region around it")
     images = [captured.contact, captured.no_contact, *([] if captured.repeat is None else [captured.repeat])]
     used = tuple(
         usable_pixels(region.mask, layers.contact[..., :1].astype(np.float64), *(i[..., :1] for i in images))
@@ -369,8 +368,9 @@ def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
     noise = float(np.sqrt(sums.noise.signal @ weights**2))
     if not signal > LEAST_SIGNAL * noise:
         raise CompareError(
-            f"contact changes nothing in the region '{region.name}' beyond the camera's noise; there is nothing to "
-            "explain: check that the contact image shows contact, that the region lies on the contact, or press deeper"
+            f"contact changes nothing in the region '{region.name}' beyond the camera's noise, so there is nothing to "
+            "explain; check that the contact image shows contact and that the region lies on the contact, or press "
+            "deeper"
         )
 
 

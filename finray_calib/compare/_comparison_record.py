@@ -147,8 +147,8 @@ def _checked(
     """Return the report, the press where it was compared, and curve and gains, where they are known."""
     if chosen.relative and chosen.registered:
         raise CompareError(
-            "--relative puts the capture's own image without contact in the place of the render's, so that --register "
-            "finds no drift; leave out one of the two"
+            "--relative and --register cannot be combined, because with --relative the capture's own image without "
+            "contact replaces the render's, so no drift can be found; leave out one of these options"
         )
     # before the images: a press elsewhere looks like another exposure
     require_same_conditions(press, capture)
@@ -512,23 +512,25 @@ def notes_of(
         notes.append(_CURVE_CANNOT_KNOW)
     if nuisances is not None and nuisances.gain is None:
         notes.append(
-            "it is not known whether exposure or white balance changed between the captures: fewer than 8 blocks of "
-            "pixels lie beyond 3 half-widths from the contact with light in a channel"
+            "it is not known whether exposure or white balance changed between the captures, because no channel has "
+            "light in 8 or more blocks of pixels beyond 3 half-widths from the contact"
         )
     if block_px > 1:
         notes.append(
-            f"compared over blocks of {block_px} x {block_px} px, at most a quarter of the contact's half-width, so "
-            f"that noise makes the headline uncertain by no more than {LARGEST_HEADLINE_NOISE:g}, or by as little as "
-            f"such blocks allow"
+            f"compared over blocks of {block_px} x {block_px} px, so that noise makes the headline uncertain by no "
+            f"more than {LARGEST_HEADLINE_NOISE:g}, as far as blocks of at most a quarter of the contact's half-width "
+            "allow"
         )
     if capture.repeat_no_contact is None:
-        notes.append("no repeat of the no-contact image: neither the floor nor the camera's noise is known")
         notes.append(
-            "the touch was detected against the noise between neighbouring pixels: noise that they share (JPEG, "
-            "interpolated colours) can look like a touch"
+            "the capture has no repeat of the no-contact image, so neither the floor nor the camera's noise is known"
+        )
+        notes.append(
+            "the touch was detected against the noise between neighbouring pixels, so noise that neighbours share "
+            "(JPEG, interpolated colours) can look like a touch"
         )
     elif not linear:
-        notes.append("the noise of encoded images is not known: it stays in their errors")
+        notes.append("the noise of encoded images is not known, so it stays in their errors")
     if linear and press.contact_half_difference is None:
         notes.append(
             "the render was not stored as two independent halves, so its noise is not known and stays in its errors"

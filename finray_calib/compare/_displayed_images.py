@@ -160,8 +160,8 @@ def display_white_dn(no_contact: Floats) -> float:
     white_dn = float(np.nanpercentile(no_contact, WHITE_PERCENTILE)) if np.isfinite(no_contact).any() else 0.0
     if not white_dn > 0:
         raise CompareError(
-            f"The no-contact image is black ({WHITE_PERCENTILE} % of it lies at or below {white_dn:g} DN above the "
-            "black level), so it cannot be shown: check the light and the black level of the capture"
+            f"The no-contact image is too dark to be shown, because {WHITE_PERCENTILE} % of it lies at or below "
+            f"{white_dn:g} DN above the black level; check the light and the black level of the capture"
         )
     return white_dn
 
@@ -415,10 +415,12 @@ def srgb_to_lab(srgb: Floats) -> Floats:
     IEC 61966-2-1:1999; CIE 15:2018.
     """
     encoded = np.asarray(srgb, dtype=np.float64)
-    if encoded.shape[-1:] != (3,) or not ((encoded >= 0) & (encoded <= 1)).all():
+    if encoded.shape[-1:] != (3,):
+        raise CompareError(f"an sRGB image must have three channels on the last axis, got shape {encoded.shape}")
+    if not ((encoded >= 0) & (encoded <= 1)).all():
         raise CompareError(
-            f"sRGB values must be 0..1 in three channels on the last axis, got shape {encoded.shape}. Divide 8-bit "
-            "values by 255."
+            f"sRGB values must lie between 0 and 1, got {encoded.min():g} to {encoded.max():g}; divide 8-bit values by "
+            "255"
         )
     lab = np.empty(encoded.shape)
     flat, result = encoded.reshape(-1, 3), lab.reshape(-1, 3)

@@ -634,37 +634,37 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
     if cause == "pose":
         dx, dy = px * theta
         return (
-            f"the contact lies {abs(dx):.2g} px {'right' if dx > 0 else 'left'} and {abs(dy):.2g} px "
-            f"{'below' if dy > 0 else 'above'} of where it is simulated: correct the circle (--circles), or refine the "
-            "pose of the press"
+            f"the contact lies {abs(dx):.2g} px to the {'right' if dx > 0 else 'left'} and {abs(dy):.2g} px "
+            f"{'below' if dy > 0 else 'above'} its simulated place: correct the circle (--circles), or refine the pose "
+            "of the press"
         )
     if cause == "size":
         large = "larger" if first > 0.0 else "smaller"
         return f"the contact is {share} {large} than simulated: check the indenter's size, the depth and the scale"
     if cause == "depth":
         return (
-            f"the simulated change is {share} {share and more[1]} than the captured one: check the depth of the press, "
-            "and the contrast of the lights"
+            f"the change by contact is {share} {share and more[1]} in the simulation than in the capture: check the "
+            "depth of the press, and the contrast of the lights"
         )
     if cause == "gain":
         worst = float(theta[int(np.abs(theta).argmax())])
         how = f"{100 * abs(np.expm1(worst)):.1f} % {'brighter' if worst > 0 else 'darker'}"
         return (
-            f"a channel of the contact image is {how} than simulated, everywhere: lock exposure and white balance, and "
-            "take an image without contact just before"
+            f"a channel of the contact image is {how} than simulated over the whole image: lock exposure and white "
+            "balance, and take an image without contact just before the press"
         )
     if cause == "shading":
         return (
             f"the change of light across the picture differs by up to {100 * float(np.abs(theta).max()):.1f} % from "
-            "the simulated one: check how the lights fall off, and let them warm up"
+            "the simulation: check how the light falls off with distance, and let the lights warm up"
         )
     if cause == "blur":
         sigma = px * np.sqrt(abs(first))
         if first > 0.0:
             what = "check the focus, or add the blur of lens and gel to the simulation"
-            return f"the capture is blurred by {sigma:.2g} px beyond the simulation: {what}"
-        return f"the simulation is blurred by {sigma:.2g} px beyond the capture: blur less, or render on a finer mesh"
+            return f"the capture is {sigma:.2g} px more blurred than the simulation: {what}"
+        return f"the simulation is {sigma:.2g} px more blurred than the capture: blur less, or render on a finer mesh"
     return (
-        f"the change around the contact is {share} {'stronger' if first > 0.0 else 'weaker'} than simulated: the gel "
-        "bulges there; use finite elements, not a rigid shape or a table of other presses; with them, check the gel"
+        f"the change around the contact, where the gel bulges, is {share} {'stronger' if first > 0.0 else 'weaker'} "
+        "than simulated: use finite elements, not a rigid shape or a table of other presses, or check the gel"
     )

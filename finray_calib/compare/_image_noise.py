@@ -73,8 +73,8 @@ def capture_noise(first: Floats, second: Floats) -> CaptureNoise:
     whole = cv2.erode(finite.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
     if whole.sum() < _LEAST_PIXELS:
         raise CompareError(
-            f"only {int(whole.sum())} pixels of the two no-contact images can be compared; at least {_LEAST_PIXELS} "
-            "are needed to measure the camera's noise: capture with a shorter exposure"
+            f"only {int(whole.sum())} pixels of the two no-contact images can be compared, but at least "
+            f"{_LEAST_PIXELS} are needed to measure the camera's noise; capture with a shorter exposure"
         )
     fits = [_fit(*_squares(first[..., c], second[..., c], finite, whole)) for c in range(first.shape[2])]
     offset, slope = np.array(fits).T

@@ -83,8 +83,8 @@ def mismatches(press: SimulatedPress, capture: TactileCapture) -> tuple[tuple[Fi
     contact, no_contact = rgb_image(capture.contact, capture), rgb_image(capture.no_contact, capture)
     if press.contact.shape != contact.shape:
         raise CompareError(
-            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has "
-            f"{contact.shape[1]} x {contact.shape[0]} px: simulate with the camera of the capture"
+            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, but {capture.name} has "
+            f"{contact.shape[1]} x {contact.shape[0]} px; simulate with the camera of the capture"
         )
     repeat = None if capture.repeat_no_contact is None else rgb_image(capture.repeat_no_contact, capture)
     findings = [Finding("refuse" if sure else "warn", "levels", text) for sure, text in level_findings(capture)]
@@ -465,10 +465,9 @@ class BetterOrder:
     def __str__(self) -> str:
         """Say it with its numbers."""
         return (
-            f"{self.order} much better than as RGB (they differ by {100 * self.differs_rel:.1f} % against "
-            f"{100 * self.differs_as_stored_rel:.1f} % after one gain; their patterns correlate by "
-            f"{self.correlation:.2f} "
-            f"against {self.correlation_as_stored:.2f})"
+            f"{self.order} much better than as RGB (difference after one gain {100 * self.differs_rel:.1f} % instead "
+            f"of {100 * self.differs_as_stored_rel:.1f} %, correlation of the patterns {self.correlation:.2f} instead "
+            f"of {self.correlation_as_stored:.2f})"
         )
 
 

@@ -426,8 +426,8 @@ def ring_of(distance: Floats, usable: Bools) -> Bools:
     ring = usable & (distance >= RING[0]) & (distance <= RING[1])
     if not ring.any():
         raise CompareError(
-            f"no usable pixel lies {RING[0]:g} to {RING[1]:g} contact half-widths from the indenter: the press is too "
-            "near the edge of the image, or the image is clipped there"
+            f"no usable pixel lies {RING[0]:g} to {RING[1]:g} contact half-widths from the indenter, because the press "
+            "is too near the edge of the image or the image is clipped there"
         )
     return ring
 

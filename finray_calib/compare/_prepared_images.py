@@ -178,8 +178,9 @@ def relative_press(press: SimulatedPress, capture: TactileCapture) -> SimulatedP
     """
     if press.encoding != "linear" or capture.encoding != "linear":
         raise CompareError(
-            f"--relative: needs linear values on both sides; {press.name} holds {press.encoding} and {capture.name} "
-            f"{capture.encoding} ones. Leave --relative out: encoded captures are always compared in this way"
+            f"--relative needs linear values in both records, but the encoding of {press.name} is {press.encoding} and "
+            f"that of {capture.name} is {capture.encoding}. Leave --relative out; encoded captures are always compared "
+            "in this way"
         )
     rest = rgb_image(capture.no_contact, capture)
     if press.no_contact.shape != rest.shape:
@@ -342,19 +343,20 @@ def _require_comparable(press: SimulatedPress, capture: TactileCapture, shape: t
     require_same_conditions(press, capture)
     if press.contact.shape != shape:
         raise CompareError(
-            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, {capture.name} has {shape[1]} x "
-            f"{shape[0]} px: simulate with the camera of the capture (design: camera.width_px, camera.height_px)"
+            f"{press.name} has {press.contact.shape[1]} x {press.contact.shape[0]} px, but {capture.name} has "
+            f"{shape[1]} x {shape[0]} px; simulate with the camera of the capture (design: camera.width_px, "
+            "camera.height_px)"
         )
     balanced = press.shown_light is not None and press.shown_light.white_balance != (1.0, 1.0, 1.0)
     if balanced and capture.encoding == "linear":
         raise CompareError(
-            f"{press.name} was given a white balance, {capture.name} holds the camera's own channels: recolour the "
-            "press without --white-balance (or with 1:1:1)"
+            f"{press.name} was given a white balance, but {capture.name} contains the camera's own channels; recolour "
+            "the press without --white-balance (or with 1:1:1)"
         )
     if press.encoding == "unknown" and capture.encoding == "linear":
         raise CompareError(
-            f"{press.name} holds encoded values, {capture.name} linear light: encoded values cannot be converted to "
-            f"linear light without loss; give the simulation in linear light"
+            f"{press.name} contains encoded values but {capture.name} contains linear light, and encoded values cannot "
+            "be converted to linear light without loss; give the simulation in linear light"
         )
     if press.encoding == "unknown" and capture.encoding == "unknown":
         _require_one_scale(press, capture)
@@ -377,7 +379,7 @@ def _require_colours(press: SimulatedPress, capture: TactileCapture) -> None:
     seen = seen[every_channel(np.isfinite(seen))]
     if seen.size and float(np.percentile(np.ptp(seen, axis=-1), 99.0)) > _COLOURED * float(seen.mean()):
         raise CompareError(
-            f"{press.name} is grey, and the capture {capture.name} has colours; render in colour, or capture in grey"
+            f"{press.name} is grey, but the capture {capture.name} has colours; render in colour, or capture in grey"
         )
 
 
@@ -402,9 +404,10 @@ def _require_one_scale(press: SimulatedPress, capture: TactileCapture) -> None:
     )
     if is_smaller or rendered > _ABOVE_FULL * full_dn:
         raise CompareError(
-            f"the brightest parts of {press.name} are at {rendered:.3g}, those of {capture.name} at {captured:.3g} of "
-            f"{full_dn:.0f}: write the render on the scale of the capture, whose pixels have {capture.bit_depth} bits "
-            "('finray import render' with --capture does), and with its exposure"
+            f"the brightest parts of {press.name} are at {rendered:.3g}, but those of {capture.name} are at "
+            f"{captured:.3g} of {full_dn:.0f}; write the render on the scale of the capture, whose pixels have "
+            f"{capture.bit_depth} bits ('finray import render' with --capture does this), and with the capture's "
+            "exposure"
         )
 
 
@@ -454,8 +457,8 @@ def _require_same_light(press: SimulatedPress, capture: TactileCapture) -> None:
     allowed_deg = _allowed(_SAME_ANGLE_DEG, capture.light_angle_uncertainty_deg)
     if abs(rendered_deg - captured_deg) > allowed_deg:
         raise CompareError(
-            f"{press.name} is lit at {rendered_deg:g} deg, {capture.name} at {captured_deg:g} deg; the two may "
-            f"differ by at most {allowed_deg:.2g} deg: simulate with the capture's light.angle_deg"
+            f"{press.name} is lit at {rendered_deg:g} deg but {capture.name} at {captured_deg:g} deg, and the angles "
+            f"may differ by at most {allowed_deg:.2g} deg; simulate with the capture's light.angle_deg"
         )
 
 
@@ -464,15 +467,16 @@ def _require_same_indenter(name: str, rendered: Indenter, capture: TactileCaptur
     captured = capture.indenter
     if rendered.pose_shape != captured.shape:
         raise CompareError(
-            f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}: simulate with the "
-            "capture's indenter.shape and size, or correct the indenter of the capture's record"
+            f"{name} presses a {_described(rendered)}, but {capture.name} presses a {_described(captured)}; simulate "
+            "with the capture's indenter.shape and size, or correct the indenter of the capture's record"
         )
     if captured.shape not in _ROUND_SHAPES or captured.radius_mm is None:
         return
     if abs(rendered.radius_mm / captured.radius_mm - 1.0) > _SAME_RADIUS_REL * (1.0 + 1e-9):
         raise CompareError(
-            f"{name} presses a {_described(rendered)}, {capture.name} a {_described(captured)}; the radii may differ "
-            f"by at most {100 * _SAME_RADIUS_REL:.0f} %: simulate with the capture's indenter.radius_mm"
+            f"{name} presses a {_described(rendered)}, but {capture.name} presses a {_described(captured)}, and the "
+            f"radii may differ by at most {100 * _SAME_RADIUS_REL:.0f} %; simulate with the capture's "
+            "indenter.radius_mm"
         )
 
 
@@ -495,7 +499,7 @@ def _require_same_push(name: str, rendered: Indenter, capture: TactileCapture) -
         allowed_mm = _allowed(same_mm, uncertainty_mm)
         if captured_mm is not None and abs(rendered_mm - captured_mm) > allowed_mm:
             raise CompareError(
-                f"{name} is pressed {rendered_mm:g} mm {where}, {capture.name} {captured_mm:g} mm; the {what} may "
-                f"differ by at most {allowed_mm:.2g} mm: simulate with the capture's indenter.{field}, or, if that "
-                f"is known less well, state {field.removesuffix('_mm')}_uncertainty_mm in the capture"
+                f"{name} is pressed {rendered_mm:g} mm {where} but {capture.name} {captured_mm:g} mm, and the {what} "
+                f"may differ by at most {allowed_mm:.2g} mm. Simulate with the capture's indenter.{field}, or state "
+                f"{field.removesuffix('_mm')}_uncertainty_mm in the capture if the {what} is known less well"
             )

@@ -163,7 +163,9 @@ def render_layers(press: SimulatedPress) -> RenderLayers:
         inputs=press.known_inputs if with_halves else None,
     )
     if not all(np.isfinite(image).all() for image in (layers.contact, layers.no_contact, layers.pose)):
-        raise CompareError(f"{press.name} holds values that are not finite: the render failed; simulate again")
+        raise CompareError(
+            f"{press.name} contains values that are not finite, because the render failed; simulate the press again"
+        )
     return layers
 
 

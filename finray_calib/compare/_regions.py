@@ -143,7 +143,7 @@ def usable_pixels(mask: NDArray[np.bool_], *images: NDArray[np.float64]) -> NDAr
     if len(shape) != 3 or any(image.shape != shape for image in images):
         shapes = ", ".join(str(image.shape) for image in images)
         raise CompareError(
-            f"All images must have one shape (height, width, channels), got {shapes}. Register and crop the "
+            f"All images must have the same shape (height, width, channels), got {shapes}. Register and crop the "
             "render to the grid of the capture first."
         )
     if mask.shape != shape[:2]:
@@ -232,7 +232,7 @@ def tile_side_px(mask: NDArray[np.bool_]) -> int:
     pixels = int(mask.sum())
     if pixels < MINIMUM_TILES:
         raise CompareError(
-            f"The region has {pixels} usable pixels; an interval needs at least {MINIMUM_TILES}. Use a larger "
+            f"The region has only {pixels} usable pixels, but an interval needs at least {MINIMUM_TILES}. Use a larger "
             "region or a larger image."
         )
     side = LARGEST_TILE_PX

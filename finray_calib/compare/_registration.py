@@ -81,9 +81,9 @@ class Registration:
     def __str__(self) -> str:
         """Say it in one line."""
         return (
-            f"the render lies {self.move_px:.2f} px away from the capture (at most {self.largest_move_px:.2f} "
-            f"px; standard uncertainty {self.residual_px:.2f} px): scale {self.scale_x:.4f} along x and "
-            f"{self.scale_y:.4f} along y, rotation {self.rotation_deg:.2f} deg, correlation of gradients "
+            f"the render lies {self.move_px:.2f} px away from the capture (at most {self.largest_move_px:.2f} px; "
+            f"standard uncertainty {self.residual_px:.2f} px), with a scale of {self.scale_x:.4f} along x and "
+            f"{self.scale_y:.4f} along y, a rotation of {self.rotation_deg:.2f} deg, and a correlation of gradients of "
             f"{self.score_before_rel:.2f} before and {self.score_rel:.2f} after"
         )
 
@@ -126,9 +126,8 @@ def register(rendered: Floats, captured: Floats, mask: Mask | None = None) -> Re
     usable = moving_usable & fixed_usable & (True if mask is None else mask)
     if usable.mean() < LEAST_SHARE_OF_PICTURE:
         raise CompareError(
-            f"only {100 * usable.mean():.1f} % of the picture is usable on both sides, but at least "
-            f"{100 * LEAST_SHARE_OF_PICTURE:.0f} % is needed to register: expose the capture so that less of "
-            "it is clipped"
+            f"only {100 * usable.mean():.1f} % of the picture is usable in both images, but registration needs at "
+            f"least {100 * LEAST_SHARE_OF_PICTURE:.0f} %; expose the capture so that less of it is clipped"
         )
     matrix, motion = _simplest_map(moving, fixed, usable)
     halves = [_refined(moving, fixed, usable & half, matrix, 1, motion) for half in _halves(usable.shape)]
@@ -232,30 +231,36 @@ def _require_trustworthy(found: Registration, side_px: int) -> None:
     largest_px = LARGEST_MOVE_OF_SIDE * side_px
     reasons = []
     if not found.score_rel >= LEAST_SCORE:
-        reasons.append(f"the gradients correlate by {found.score_rel:.2f} only, but at least {LEAST_SCORE:g} is needed")
+        reasons.append(
+            f"the correlation of the gradients is only {found.score_rel:.2f}, but must be at least {LEAST_SCORE:g}"
+        )
     if not found.score_rel >= found.score_before_rel:
-        reasons.append(f"the gradients correlate less than before the registration ({found.score_before_rel:.2f})")
+        reasons.append(
+            f"the correlation of the gradients was higher before the registration ({found.score_before_rel:.2f})"
+        )
     if found.largest_move_px > largest_px:
         reasons.append(
-            f"it moves the render by up to {found.largest_move_px:.1f} px, but at most {largest_px:.0f} px are allowed"
+            f"the render would move by up to {found.largest_move_px:.1f} px, but at most {largest_px:.0f} px are "
+            "allowed"
         )
     if max(abs(found.scale_x - 1), abs(found.scale_y - 1)) > LARGEST_SCALE_CHANGE:
         reasons.append(
-            f"it changes the scale to {found.scale_x:.3f} and {found.scale_y:.3f}, but at most "
+            f"the scale would change to {found.scale_x:.3f} and {found.scale_y:.3f}, but a change of at most "
             f"{100 * LARGEST_SCALE_CHANGE:.0f} % is allowed"
         )
     if abs(found.rotation_deg) > LARGEST_ROTATION_DEG:
         reasons.append(
-            f"it turns the render by {found.rotation_deg:.1f} deg, but at most {LARGEST_ROTATION_DEG:g} deg are allowed"
+            f"the render would turn by {found.rotation_deg:.1f} deg, but at most {LARGEST_ROTATION_DEG:g} deg are "
+            "allowed"
         )
     largest_residual_px = max(LARGEST_RESIDUAL_PX, LARGEST_RESIDUAL_OF_MOVE * found.move_px)
     if not found.residual_px <= largest_residual_px:
         reasons.append(
-            "two halves of the picture disagree: the standard uncertainty of the move is "
-            f"{found.residual_px:.1f} px, but at most {largest_residual_px:.1f} px are allowed"
+            f"two halves of the picture disagree about the move by a standard uncertainty of {found.residual_px:.1f} "
+            f"px, but at most {largest_residual_px:.1f} px are allowed"
         )
     if reasons:
-        raise CompareError(f"registration is rejected: {'; '.join(reasons)}")
+        raise CompareError(f"registration is rejected because {'; '.join(reasons)}")
 
 
 def register_press(press: SimulatedPress, capture: TactileCapture) -> tuple[Registration, str]:

@@ -107,8 +107,8 @@ def _images(
     x, y = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     if x.ndim != 3 or x.shape != y.shape or min(x.shape[:2]) < WINDOW_PX:
         raise CompareError(
-            f"Structural similarity needs two images of one shape (height, width, channels) of at least "
-            f"{WINDOW_PX} x {WINDOW_PX} px, got {x.shape} and {y.shape}. Register and crop the render first."
+            "Structural similarity needs two images of the same shape (height, width, channels) and of at least "
+            f"{WINDOW_PX} x {WINDOW_PX} px, got the shapes {x.shape} and {y.shape}. Register and crop the render first."
         )
     if not data_range_dn > 0:
         raise CompareError(

@@ -73,8 +73,8 @@ def captures_within(
             kept.append(capture)
         else:
             notes.append(
-                f"{capture.name} is left out: its light was at {capture.angle_deg:g} deg, outside the sweep "
-                f"({first:g} to {last:g} deg), so it does not validate the decision"
+                f"{capture.name} is left out and does not validate the decision, because its light was at "
+                f"{capture.angle_deg:g} deg, outside the sweep ({first:g} to {last:g} deg)"
             )
     return kept, notes
 
@@ -86,8 +86,8 @@ def doubts(sweep: LightAngleSweep, captures: Sequence[ValidatingCapture]) -> lis
         without = [capture.name for capture in captures if sha256 not in capture.error.source]
         if without:
             notes.append(
-                f"the {colour} paint of the sweep (SHA-256 {sha256}) is not named by the reports on "
-                f"{', '.join(without)}: their renders may have another paint"
+                f"the reports on {', '.join(without)} do not name the {colour} paint of the sweep (SHA-256 {sha256}), "
+                "so their renders may have another paint"
             )
     unstated = [capture.name for capture in captures if capture.stated_angle_sd_deg is None]
     if unstated:
@@ -105,8 +105,8 @@ def _refuse_duplicates(reports: Sequence[PhotometricErrorReport]) -> None:
         key = (report.captured, report.light_angle_deg)
         if key in seen:
             raise DecideError(
-                f"two reports are on the capture '{report.captured}': the same capture would count twice. Give one "
-                "report for each capture; two different captures need different names"
+                f"two reports are on the capture '{report.captured}', which would count twice. Give one report for "
+                "each capture, and different captures different names"
             )
         seen.add(key)
 
@@ -121,36 +121,35 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
     """
     if _PAPER_EMITTER in report.label:
         raise DecideError(
-            f"the report on {report.captured} belongs to a render by level a ('{report.label}'), but the "
-            "sweep was rendered by level b: walls of level a emit the same at every angle of the light, so "
-            "their error cannot validate the curve. Simulate the press with --level b (the default) and "
-            "compare again, or leave the report out"
+            f"the report on {report.captured} belongs to a render of level a ('{report.label}'), whose walls emit the "
+            "same at every angle of the light, so its error cannot validate a sweep of level b. Simulate the press "
+            "with --level b (the default) and compare again, or leave the report out"
         )
     if report.forced_mismatch:
         raise DecideError(
-            f"the report on {report.captured} was made despite a mismatch, so its brightness error is not "
-            f"that of the simulation ({'; '.join(report.findings)}): correct the capture and compare again, "
-            "or leave the report out"
+            f"the report on {report.captured} was made despite a mismatch ({'; '.join(report.findings)}), so its "
+            "brightness error is not that of the simulation; correct the capture and compare again, or leave the "
+            "report out"
         )
     if report.relative:
         raise DecideError(
-            f"the report on {report.captured} is relative: it judges the change by contact alone, and not the light "
-            "of the render, on which the angle depends. Compare again without --relative, or leave out the report"
+            f"the report on {report.captured} is relative, so it judges only the change by contact and not the light "
+            "of the render, on which the angle depends. Compare again without --relative, or leave the report out"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(
-            f"the report on {report.captured} carries no brightness error, because the render holds no draws of its "
-            "paints and camera: render the press with 'finray simulate render --paint' and compare again"
+            f"the report on {report.captured} contains no brightness error, because the render has no draws of its "
+            "paints and camera; render the press with 'finray simulate render --paint' and compare again"
         )
     if report.objective_error is None:
         raise DecideError(
-            f"the report on {report.captured} carries no brightness error, because its values are '{report.values}' on "
-            "both sides: render the press in linear light ('finray simulate render') and compare again"
+            f"the report on {report.captured} contains no brightness error, because its values are '{report.values}' "
+            "on both sides; render the press in linear light ('finray simulate render') and compare again"
         )
     if report.light_angle_deg is None:
         raise DecideError(
-            f"the report on {report.captured} names no angle of the light, so it cannot be placed on the "
-            "curve: write light_angle_deg (-180 to 180 deg) into the capture and compare again"
+            f"the report on {report.captured} does not state the angle of the light, so it cannot be placed on the "
+            "curve; write light_angle_deg (-180 to 180 deg) into the capture and compare again"
         )
     return ValidatingCapture(
         report.captured,
@@ -398,10 +397,10 @@ def _sweep_of(sweeps: Sequence[LightAngleSweep], report: PhotometricErrorReport)
     own, other = owns[number], others[number]
     if other:
         raise DecideError(
-            f"the report on {report.captured} is on the finger '{report.finger.name}', the sweep "
-            f"'{sweeps[number].name}' on '{own.name}', and they differ in {', '.join(other)}: the error of "
-            "one finger gives no information on the light of the other. Simulate and compare the capture "
-            "with the sweep's design, or leave the report out"
+            f"the report on {report.captured} is on the finger '{report.finger.name}', but the sweep "
+            f"'{sweeps[number].name}' is on the finger '{own.name}', which differs in {', '.join(other)}, and the "
+            "error of one finger does not apply to another. Simulate and compare the capture with the sweep's design, "
+            "or leave the report out"
         )
     if abs(pushed_mm - own.depth_mm) <= _SAME_DEPTH_MM:
         return number, []

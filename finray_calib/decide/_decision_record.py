@@ -365,24 +365,25 @@ def _notes(
     if on.aim == "normal":
         notes.append(
             "the error of the sensed normal is computed on facets of the undeformed pad, by a map fitted at other "
-            "places. It is assumed to differ from that of the real finger by as large a factor as the brightness does"
+            "places. The real finger is assumed to differ from it by as large a factor as it does from the simulated "
+            "brightness"
         )
     exposed = next((swept.constraints for swept in sweeps if swept.constraints is not None), None)
     if exposed is not None:
         longer = float(np.interp(decision.best_deg, sweep.angles_deg, exposed.exposure_rel))
-        notes.append(f"the exposure at this angle is {longer:.2g} times the shortest of the sweep")
+        notes.append(f"this angle needs an exposure {longer:.2g} times as long as the shortest of the sweep")
     if not decision.choices.all():
         notes.append("angles at which pixels clip or the panel does not fit were left out of the choice")
     notes.append(_note_on_error(captures))
     if captures.names and sweep.channels is None:
         notes.append(
-            "the sweep was written by an older version without its channels: red, green and blue count equally"
+            "the sweep was written by an older version without its channels, so red, green and blue count equally"
         )
     if len(on.contacts) > 1:
         notes.append(
-            "the sim-to-real errors at two places have a part of their variance in common. Nobody has measured how "
-            "much: 10 to 90 % are taken to be equally likely. Errors by edges of shadows and by reflections are "
-            "assumed to be the same at all places"
+            "the sim-to-real errors at two places share a part of their variance. How much has not been measured, so "
+            "all shares from 10 to 90 % are taken to be equally likely. Errors from edges of shadows and from "
+            "reflections are assumed to be the same at all places"
         )
     return tuple(notes)
 
@@ -393,8 +394,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
         return (
             f"no capture shows how far the finger differs from the simulation. Until one does, {_ERROR_CURVE}. The "
             f"size of this error is assumed ({_ASSUMED_SIZE}). The stated probabilities average over all these errors. "
-            "Where a finger has only one kind of them, its own probabilities are mostly higher; only captures can show "
-            "which errors it has"
+            "If a finger has only one kind of error, the probabilities for this finger are mostly higher; only "
+            "captures can show which errors a finger has"
         )
     compared = (
         "relative to the no-contact image of each capture, so an error that both images share is not seen. "
@@ -405,8 +406,8 @@ def _note_on_error(captures: CaptureErrors) -> str:
     )
     return (
         f"captures are compared {compared}. At other angles {_ERROR_CURVE}. The captures determine the size of this "
-        f"error (prior: {_ASSUMED_SIZE}). They show the image beside the indenter, while the sweep evaluates its probe "
-        "points"
+        f"error (prior: {_ASSUMED_SIZE}). Captures show the image beside the indenter, while the sweep evaluates its "
+        "probe points"
     )
 
 
@@ -442,8 +443,8 @@ def headline(
     if aim == "normal":
         above = above_best(np.array(losses))
         return (
-            f"{angle}: {simulated}the error of the sensed normal at each of the {span_of(contacts)} is at most "
-            f"{percent(above.max())} above that at its own best angle, and {percent(float(above @ weights))} on "
+            f"{angle}: {simulated}at each of the {span_of(contacts)} the error of the sensed normal is at most "
+            f"{percent(above.max())} larger than at that place's best angle, and {percent(float(above @ weights))} on "
             "average over them."
         )
     average, span = float(np.dot(weights, losses)), span_of(contacts)

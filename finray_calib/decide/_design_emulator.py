@@ -285,7 +285,8 @@ def screening_designs(inputs: int, count: int, seed: int, allowed: Allowed | Non
     kept = np.array(list(islice((one for one in points if allowed is None or allowed(one)), count)))
     if len(kept) < count:
         raise CompareError(
-            f"of {len(points)} designs within the limits only {len(kept)} can be built; give narrower limits"
+            f"only {len(kept)} of {len(points)} tried designs within the limits can be built, which are too few; give "
+            "narrower limits"
         )
     return kept[:count]
 

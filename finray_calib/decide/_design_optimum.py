@@ -468,8 +468,8 @@ def rank_by_draws(values: Floats) -> PairedRanking:
     least = ceil(LEVEL / (1.0 - LEVEL) - 1e-9)
     if values.ndim != 2 or len(values) < 2 or values.shape[1] < least or not np.isfinite(values).all():
         raise CompareError(
-            f"a ranking needs finite values (choice, draw) of at least 2 choices and {least} draws for a level of "
-            f"{LEVEL:g}; got an array of shape {values.shape}. Give more draws or choices"
+            f"a ranking at a level of {LEVEL:g} needs an array of finite values of shape (choices, draws) with at "
+            f"least 2 choices and {least} draws, got an array of shape {values.shape}"
         )
     mean = values.mean(axis=1)
     order = np.argsort(mean, kind="stable")

@@ -343,7 +343,9 @@ def matern_correlation(first_deg: Floats, second_deg: Floats, length_deg: float,
     q = np.sqrt(2 * nu) * np.abs(first_deg[:, None] - second_deg) / length_deg
     polynomials = {0.5: 1.0, 1.5: 1 + q, 2.5: 1 + q + q * q / 3}
     if nu not in polynomials:
-        raise ValueError(f"smoothness nu = {nu:g} has no closed form here; must be 0.5, 1.5 or 2.5")
+        raise ValueError(
+            f"the smoothness nu must be 0.5, 1.5 or 2.5, because other values have no closed form here, got {nu:g}"
+        )
     return np.asarray(polynomials[nu] * np.exp(-q))
 
 

@@ -585,24 +585,24 @@ def _check(
     """Refuse a sweep that does not allow a decision."""
     if angles_deg.ndim != 1 or len(angles_deg) < _LEAST_ANGLES:
         raise DecideError(
-            f"The sweep has {angles_deg.size} angles; at least {_LEAST_ANGLES} are needed to see a peak. Render more "
-            "angles."
+            f"The sweep has only {angles_deg.size} angles, but at least {_LEAST_ANGLES} are needed to see a peak. "
+            "Render more angles."
         )
     if not (np.diff(angles_deg) > 0).all():
         raise DecideError(
-            f"The angles must increase and occur once each, got {angles_deg.tolist()} deg. Sort them and put "
-            "all repeats of one angle into one row."
+            f"The angles must be strictly increasing, got {angles_deg.tolist()} deg. Sort them and put all repeats of "
+            "one angle into one row."
         )
     if values.ndim != 2 or len(values) != len(angles_deg) or values.shape[1] < _LEAST_REPEATS:
         raise DecideError(
-            f"The values have shape {values.shape} for {len(angles_deg)} angles; expected (angles, repeats) with at "
-            f"least {_LEAST_REPEATS} repeats, which show the noise. Render again with another seed."
+            f"The values have shape {values.shape} for {len(angles_deg)} angles, but must have shape (angles, repeats) "
+            f"with at least {_LEAST_REPEATS} repeats, which show the noise. Render again with another seed."
         )
     if not (np.isfinite(values) & (values > 0)).all():
         row = int(np.argwhere(~(np.isfinite(values) & (values > 0)))[0, 0])
         raise DecideError(
-            f"The objective at {angles_deg[row]:g} deg is not a positive number: {values[row].tolist()}. Relative "
-            "losses need positive values; check that render, or leave the angle out."
+            f"The values of the objective must be finite and positive, but are {values[row].tolist()} at "
+            f"{angles_deg[row]:g} deg. Check the render at this angle, or leave the angle out."
         )
     if not 0 < tolerance_rel < 1:
         raise DecideError(f"The tolerance must be a relative loss between 0 and 1, got {tolerance_rel}; 0.02 is 2 %.")

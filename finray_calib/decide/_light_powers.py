@@ -81,8 +81,8 @@ class LightBasis:
         """
         if len(rest) < _LEAST_BATCHES:
             raise DecideError(
-                f"a light basis needs at least {_LEAST_BATCHES} independent batches of paths to know its noise, got "
-                f"{len(rest)}"
+                f"a light basis needs at least {_LEAST_BATCHES} independent batches of paths to estimate its noise, "
+                f"got {len(rest)}"
             )
         means = [one.mean(axis=0, keepdims=True) for one in (rest, touched)]
         drawn = [
@@ -124,8 +124,8 @@ def _brightness(signals: Floats, white: Floats) -> Floats:
     seen = (level > 0.0).all(axis=0)
     if not seen.any():
         raise DecideError(
-            "the lights together leave the coat dark: no channel of the camera sees it; check the lights and the "
-            "camera's response"
+            "no channel of the camera sees the coat, even with all lights on; check the lights and the camera's "
+            "response"
         )
     return np.asarray((signals[..., seen] / level[:, None, None, seen]).mean(axis=-1))
 
@@ -159,14 +159,14 @@ class PowerLimits:
         """
         if not ((self.low >= 0.0) & (self.low <= self.high) & (self.high > 0.0)).all():
             raise DecideError(
-                f"limits of the powers must be two factors of 0 or more, the lower one first, got {self.low.tolist()} "
-                f"to {self.high.tolist()}"
+                "limits of the powers must be two factors of 0 or more, the lower one first and the upper one above 0, "
+                f"got {self.low.tolist()} to {self.high.tolist()}"
             )
         least = float(self.share @ self.low)
         if self.total_rel <= 0.0 or least > self.total_rel:
             raise DecideError(
-                f"the lowest powers together are {least:.3g} times the present ones, more than the total allows "
-                f"({self.total_rel:.3g}); lower the lower limit or raise the total"
+                f"the lowest powers together are {least:.3g} times the present powers, but the total allows only "
+                f"{self.total_rel:.3g} times; lower the lower limit or raise the total"
             )
 
     def brightest(self, direction: Floats) -> Floats:
@@ -232,8 +232,8 @@ def most_uniform_powers(spread: Floats, level: Floats, limits: PowerLimits) -> O
             return OptimalPowers(limits.brightest(at), variance, gap)
         corners = np.column_stack([corners, corner])
     raise DecideError(
-        f"the most even powers were not found in {_MOST_STEPS} steps (at most {gap:.2g} of the variance "
-        f"{variance:.2g} is left to gain); give wider limits, or fewer lights"
+        f"the search for the most even powers did not converge in {_MOST_STEPS} steps (the variance of {variance:.2g} "
+        f"could still fall by up to {gap:.2g}); give wider limits, or fewer lights"
     )
 
 
@@ -256,7 +256,7 @@ def _corner(gradient: Floats, level: Floats, limits: PowerLimits) -> Floats:
         b_eq=[1.0], bounds=[(0.0, None)] * (count + 1), method="highs",
     )  # fmt: skip
     if found.x is None:
-        raise DecideError(f"no powers meet the limits ({found.message}); widen them")
+        raise DecideError(f"no powers meet the limits ({found.message}); widen the limits")
     return np.asarray(found.x[:count], dtype=np.float64)
 
 
@@ -464,8 +464,8 @@ def powers_sentence(record: LightPowers) -> str:
     now, then, gain = record.variation_now_rel, record.variation_rel, record.gain_rel
     if len(record.rows) == 1:
         return (
-            "There is one light, so its power does not change how evenly the pad is lit: the brightness of the coat "
-            f"varies by {100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to "
+            "There is only one light, so its power does not change how evenly the pad is lit: the brightness of the "
+            f"coat varies by {100 * now.estimate:.0f} % over the pad ({100 * now.low95:.0f} % to "
             f"{100 * now.high95:.0f} %)."
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
@@ -490,7 +490,7 @@ def powers_sentence(record: LightPowers) -> str:
     if error is None:
         return f"{sentence} What this does to the error of the normal is not evaluated for a classic sensor."
     if error.low95_rel <= 0.0 <= error.high95_rel:
-        what = "does not change with certainty"
+        what = "does not change significantly"
     else:
         what = f"{'grows' if error.change_rel > 0.0 else 'falls'} by {100 * abs(error.change_rel):.1f} %"
     return (

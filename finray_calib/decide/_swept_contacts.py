@@ -89,16 +89,15 @@ def decided_on(
     normal = next((objective for objective in others if objective.place_values is not None), None)
     if aim == "normal" and (captured or weights is not None):
         raise DecideError(
-            "the decision on the error of the normal was requested together with "
-            f"{'reports on captures' if captured else 'weights'}: "
+            f"a decision on the error of the normal cannot use {'reports on captures' if captured else 'weights'}, "
+            "because "
             f"{'reports measure the brightness' if captured else 'weights apply to touches, but this error to places'}"
             ". Leave them out, or decide on the brightness (--aim brightness)"
         )
     if aim == "normal" and normal is None:
         raise DecideError(
-            "the decision on the error of the normal was requested, but the sweeps do not hold this error at "
-            "places along the pad: simulate them with --objectives all, or decide on the brightness (--aim "
-            "brightness)"
+            "the decision on the error of the normal was requested, but the sweeps do not contain this error at places "
+            "along the pad; simulate them with --objectives all, or decide on the brightness (--aim brightness)"
         )
     if normal is None or aim == "brightness" or (aim is None and (captured or weights is not None)):
         return DecidedOn("brightness", sweeps[0].objective, tuple(touches), (), others)
@@ -171,8 +170,8 @@ def swept_contacts(
     if len(set(touches)) < len(touches):
         twice = next(sweep for number, sweep in enumerate(sweeps) if touches[number] in touches[:number])
         raise DecideError(
-            f"two sweeps belong to the same touch (position_mm = {twice.design.indenter.position_mm:g} mm): "
-            "the touch would count twice. Give each sweep once, and its weight by --weights"
+            f"two sweeps belong to the same touch (position_mm = {twice.design.indenter.position_mm:g} mm), which "
+            "would count twice. Give each sweep only once, and its weight by --weights"
         )
     return [_contact(sweep, 1.0 if weights is None else weights[k]) for k, sweep in enumerate(sweeps)]
 
@@ -191,14 +190,14 @@ def _weights(weights: Sequence[float], sweeps: int) -> list[float]:
     if not fit:
         words = "one sweep" if sweeps == 1 else f"{sweeps} sweeps"
         raise DecideError(
-            f"weights {weights!r} do not fit {words}: give one number above 0 for each sweep, in their order, or none "
-            "for equal weights"
+            f"weights {weights!r} do not fit {words}; give one number above 0 for each sweep, in the order of the "
+            "sweeps, or no weights to count all sweeps equally"
         )
     least, greatest = min(numbers), max(numbers)
     if least / greatest < _LEAST_WEIGHT_REL:
         raise DecideError(
-            f"weights of {least:g} and {greatest:g}: the smallest must be at least {_LEAST_WEIGHT_REL:g} of the "
-            "greatest. Leave out the sweep of a touch that hardly ever occurs"
+            f"the smallest weight, {least:g}, is less than {_LEAST_WEIGHT_REL:g} times the greatest, {greatest:g}; "
+            "leave out the sweeps of touches that rarely occur"
         )
     return [number / greatest for number in numbers]  # the sum of large ones may be infinite
 
@@ -209,7 +208,7 @@ def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
     if parts:
         raise DecideError(
             f"the sweeps '{first.name}' and '{sweep.name}' belong to different fingers, which differ in "
-            f"{', '.join(sorted(parts))}: one light angle cannot be decided for both. Only [indenter] may "
+            f"{', '.join(sorted(parts))}, so one light angle cannot be decided for both fingers. Only [indenter] may "
             "differ between the sweeps"
         )
     if first.paints != sweep.paints:
@@ -219,7 +218,7 @@ def _require_together(first: LightAngleSweep, sweep: LightAngleSweep) -> None:
         )
     if first.objective != sweep.objective:
         raise DecideError(
-            f"the sweeps '{first.name}' and '{sweep.name}' have different objectives; decide on each alone"
+            f"the sweeps '{first.name}' and '{sweep.name}' have different objectives; decide on each sweep alone"
         )
     if first.angles_deg.tolist() != sweep.angles_deg.tolist():
         raise DecideError(
@@ -417,9 +416,8 @@ def _check(
     count, repeats = objective.values.shape
     if count != len(angles_deg) or count < 4 or repeats < 2:
         raise DecideError(
-            f"{objective.name} has {count} angles with {repeats} repeats, and the sweep has {len(angles_deg)} "
-            "angles; both must agree, and at least 4 angles with 2 repeats are needed. Simulate the sweep "
-            "again with more of them."
+            f"{objective.name} has {count} angles with {repeats} repeats, but it must have as many angles as the sweep "
+            f"({len(angles_deg)}), and at least 4 angles with 2 repeats. Simulate the sweep again with more of them."
         )
     if not angles_deg[0] <= decided_deg <= angles_deg[-1]:
         raise DecideError(

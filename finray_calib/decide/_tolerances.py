@@ -320,13 +320,15 @@ def _check_runs(inputs: Floats, values: Floats) -> None:
     """Refuse runs that no emulator can be fitted to."""
     if inputs.ndim != 2 or values.shape != inputs.shape[:1] or len(values) < 2 * inputs.shape[1] + 2:
         raise DecideError(
-            f"an emulator of {inputs.shape[-1]} inputs needs at least {2 * inputs.shape[-1] + 2} runs, got "
-            f"inputs {inputs.shape} and values {values.shape}; give more runs"
+            f"an emulator of {inputs.shape[-1]} inputs needs at least {2 * inputs.shape[-1] + 2} runs, got inputs of "
+            f"shape {inputs.shape} and values of shape {values.shape}; give more runs"
         )
     if not (np.abs(inputs) <= 1.0).all():
         raise DecideError(f"inputs must lie between -1 and 1, got {inputs.min():g} to {inputs.max():g}")
     if not values.std() > 0.0:
-        raise DecideError(f"all {len(values)} runs have the same value, {values[0]:g}: nothing depends on the inputs")
+        raise DecideError(
+            f"all {len(values)} runs have the same value, {values[0]:g}, so nothing depends on the inputs"
+        )
 
 
 def _orders(inputs: int, highest: int) -> Orders:

@@ -293,8 +293,8 @@ def _sessions(paint: PaintCalibration) -> str:
 
     return (
         f" {len(scatter.session_levels_rel)} sessions were combined. Between sessions the level has a standard "
-        f"deviation of {told(scatter.level_rel)}, and a single filter, in addition, of {told(scatter.filter_rel)} (95 "
-        f"%); the uncertainties include both."
+        f"deviation of {told(scatter.level_rel)}, and each filter a further one of {told(scatter.filter_rel)} (95 %); "
+        "the uncertainties include both."
     )
 
 
@@ -357,7 +357,7 @@ def _limits(paint: PaintCalibration) -> str:
         "of the tin may differ by more than U, and ageing is not included."
     ]
     if prior:
-        told.append(f"Mostly prior, and so not certified: {', '.join(prior)}.")
+        told.append(f"Determined mostly by the prior, and so not certified: {', '.join(prior)}.")
     told += [f"Warning: {warning}." for warning in paint.warnings]
     return " ".join(told)
 

@@ -243,8 +243,9 @@ def _sensed(sensing: SensingError) -> Part:
     if sensing.mm_per_px_u_rel is not None:
         # the step of the integration and the size of the calibration ball in pixels both carry the scale
         remarks.append(
-            f"All depths rest on one scale, whose standard uncertainty of {percent(sensing.mm_per_px_u_rel)} is not in "
-            f"their intervals; it changes all of them together by about {percent(2.0 * sensing.mm_per_px_u_rel)}."
+            f"All depths rest on one scale, whose standard uncertainty of {percent(sensing.mm_per_px_u_rel)} is not "
+            "included in their intervals; twice this uncertainty changes all depths together by about "
+            f"{percent(2.0 * sensing.mm_per_px_u_rel)}."
         )
     angle = simulation.normal_angle_mean_deg
     return Part(

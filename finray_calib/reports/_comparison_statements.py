@@ -75,8 +75,8 @@ def headline(report: PhotometricErrorReport) -> RegionError:
         if region.region == report.headline_region:
             return region
     raise RecordError(
-        f"photometric error report: headline region '{report.headline_region}' is not among its regions "
-        f"({', '.join(repr(r.region) for r in report.regions)}); run compare again"
+        f"photometric error report: the headline region '{report.headline_region}' is not among the regions of the "
+        f"report ({', '.join(repr(r.region) for r in report.regions)}); run compare again"
     )
 
 
@@ -234,7 +234,7 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
         if run.significant_digits == 0:
             told.append(
                 f"The Monte Carlo run of {run.draws} draws ended before the uncertainty was steady to one significant "
-                "digit: the ends of the interval may change with another seed."
+                "digit, so the ends of the interval may change with another seed."
             )
     skills = (report.headline_skill, *(row.skill for region in report.regions for row in region.rows))
     if any(skill.low95 > 1 for skill in skills):
@@ -250,12 +250,12 @@ def limits(report: PhotometricErrorReport) -> tuple[str, ...]:
         )
     if report.tone_curve is not None:
         told.append(
-            "The render holds light and the capture encoded values. A tone curve that was fitted to the images "
-            "without contact converts the render, and scores compare code values."
+            "The render contains linear light, but the capture contains encoded values. A tone curve that was fitted "
+            "to the images without contact converts the render, and scores compare code values."
         )
     elif report.values != "linear light":
         told.append(
-            "The images hold encoded values of an unknown camera curve, not light: scores compare code values only."
+            "The images hold encoded values of an unknown camera curve, not light, so scores compare code values only."
         )
     told += [f"Withheld: {reason.rstrip('.')}." for reason in report.withheld]
     told += [f"Check: {finding.rstrip('.')}." for finding in report.findings]
@@ -306,13 +306,13 @@ def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
         return "It is not known whether the white balance changed between the captured images."
     worst = max(known, key=lambda c: abs(drift.gains[c] / drift.expected_gains[c] - 1.0))
     gain, expected = drift.gains[worst], drift.expected_gains[worst]
-    done = "It was not taken out."
+    done = "This change was not taken out."
     if drift.corrected:
         done = "Each side was divided by its own gain, so that an unchanged image with such a gain scores 0."
     return (
-        f"Far from the contact the capture changes most in {CHANNELS[worst]}: by {signed_percent(gain - 1.0)}, where "
-        f"the simulation changes by {signed_percent(expected - 1.0)} (standard uncertainty "
-        f"{percent(drift.u_rel[worst])}). {done}"
+        f"Far from the contact the capture changes most in {CHANNELS[worst]}, by {signed_percent(gain - 1.0)}, but the "
+        f"simulation changes by {signed_percent(expected - 1.0)} (standard uncertainty {percent(drift.u_rel[worst])}). "
+        f"{done}"
     )
 
 
@@ -343,8 +343,8 @@ def error_alternative(report: PhotometricErrorReport, typical_rel: float, large_
     """Say in words what the error map shows."""
     skill = report.headline_skill
     return (
-        f"Map of the error of the simulation: half of the image is wrong by less than {percent(typical_rel)} of the "
-        f"untouched level, one in twenty by more than {percent(large_rel)}. Skill {fixed(skill.estimate, 2)}."
+        f"Map of the error of the simulation: half of the pixels are wrong by less than {percent(typical_rel)} of the "
+        f"untouched level, and one in twenty by more than {percent(large_rel)}. Skill {fixed(skill.estimate, 2)}."
     )
 
 
@@ -619,7 +619,7 @@ def causes_sentence(found: ErrorAttribution) -> str:
     """Say what most of the skill is lost by."""
     lost = f"A skill of {fixed(found.skill_lost, 3)} is lost"
     if not found.causes:
-        return f"{lost}; no small change of the simulation explains a part of it."
+        return f"{lost}; no small change of the simulation explains any part of it."
     first, share = found.causes[0], found.causes[0].skill_lost / max(found.skill_lost, 1e-12)
     return (
         f"{lost}, {fixed(first.skill_lost, 3)} of it by {first.cause} ({percent(share)}). Each picture shows what one "

@@ -216,7 +216,7 @@ _LOSS_LEVELS: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.4)
 def contacts_figure(decision: LightAngleDecision) -> str:
     """Draw how much less bright each touch is than at its own best angle, over angle and touch, with contour lines."""
     if decision.contact_value is None:
-        raise ValueError("the decision holds no map; decide again on its sweeps")
+        raise ValueError("the decision contains no map over angle and touch; decide again on the same sweeps")
     order = np.argsort([contact.position_mm for contact in decision.contacts], kind="stable")
     contacts = [decision.contacts[k] for k in order]
     value = decision.contact_value[order]

@@ -593,13 +593,13 @@ def next_sentences(decision: LightAngleDecision) -> tuple[str, ...]:
         told.append(_next_sentence(decision, "render", decision.next_render))
     if decision.next_capture is None and decision.aim == "normal":
         told.append(
-            "Next capture: none is proposed. Captures show only the brightness: with their reports the decision is "
-            "by the brightness, not by the error of the normal."
+            "Next capture: none is proposed. Captures show only the brightness, so a decision with reports on captures "
+            "is by the brightness, not by the error of the normal."
         )
     elif decision.next_capture is None and decision.verdict == "needs captures":
         told.append(
-            "Next capture: no single one is expected to change the angle. Several captures, at places and angles "
-            "without one, would make the possible loss more certain."
+            "Next capture: no single capture is expected to change the angle. Several captures, at places and angles "
+            "that have none yet, would make the possible loss more certain."
         )
     else:
         told.append(_next_sentence(decision, "capture", decision.next_capture))

@@ -233,7 +233,7 @@ def indenter_path_png(mechanics: PressMechanics) -> bytes:
     """
     motion = mechanics.motion
     if motion is None:
-        raise ValueError("the press has no path: its indenter was pushed along the pad's normal")
+        raise ValueError("the press has no path to draw, because its indenter was pushed along the pad's normal")
     count = len(mechanics.depth_mm)
     shown = np.unique(np.round(np.linspace(0, count - 1, min(count, _MOST_PATCHES))).astype(int))
     rows = -(-len(shown) // _PATCHES_A_ROW)

@@ -499,9 +499,8 @@ def spread_sentence(fitted: PaintMap, quantity: MappedQuantity) -> str:
 def spots_note(fitted: PaintMap) -> str:
     """Say what a block shows that single pixels do not, and what else than paint it may be."""
     return (
-        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single "
-        "pixels hides. The white tile's own texture counts as the paint's: a further session with the tile "
-        "shifted separates the two."
+        f"Medians of {fitted.block_px} x {fitted.block_px} px show differences that the noise of single pixels hides. "
+        "The texture of the white tile counts as the paint's; another session with the tile shifted separates the two."
     )
 
 

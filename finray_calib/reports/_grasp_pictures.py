@@ -57,7 +57,7 @@ def grasp_png(grasp: ObjectGrasp, near: Finger, far: Finger, folder: Path | None
     first, second = motions
     if first is None or second is None:
         raise ValueError(
-            "these records are not of the fingers of a grasp, because they hold no motion; give those that "
+            "these records are not of the fingers of a grasp, because they contain no motion; give the records that "
             "'finray simulate grasp' wrote"
         )
     figure = new_figure(13.0, 11.0)

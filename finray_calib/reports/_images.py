@@ -50,8 +50,8 @@ def display_white(image: NDArray[np.floating]) -> FloatImage:
     white = np.nanpercentile(np.asarray(image, dtype=np.float64).reshape(-1, 3), WHITE_PERCENTILE, axis=0)
     if not (white > 0).all():
         raise RecordError(
-            f"display image: the {WHITE_PERCENTILE} % brightest pixels per channel are {white.tolist()}; every channel "
-            "must be above 0 to be shown white-balanced: check black level and exposure"
+            f"display image: percentile {WHITE_PERCENTILE} of the channels is {white.tolist()}, but every channel must "
+            "be above 0 to be shown white-balanced; check black level and exposure"
         )
     return np.asarray(white)
 
@@ -306,8 +306,8 @@ def require_one_grid(press: SimulatedPress, capture: TactileCapture) -> None:
     height, width = rgb_image(capture.no_contact, capture).shape[:2]
     if press.contact.shape[:2] != (height, width):
         raise RecordError(
-            f"comparison page: the render has {press.contact.shape[1]} x {press.contact.shape[0]} px, but the "
-            f"capture {width} x {height} px; give the render on the grid of the capture (registered)"
+            f"comparison page: the render has {press.contact.shape[1]} x {press.contact.shape[0]} px, but the capture "
+            f"has {width} x {height} px; give the render on the grid of the capture (registered)"
         )
 
 
@@ -452,9 +452,8 @@ def denoised(bands: NDArray[np.float32], samples_per_pixel: int) -> NDArray[np.f
     """
     if samples_per_pixel < FEWEST_SAMPLES:
         raise SimulateError(
-            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}: "
-            "with fewer the denoiser makes the image too bright; give --samples 64 or more, or leave out "
-            "--denoise"
+            f"a denoised picture needs at least {FEWEST_SAMPLES} paths per pixel, got {samples_per_pixel}; with fewer "
+            "paths the denoiser makes the image too bright. Give --samples 64 or more, or leave out --denoise"
         )
     denoise = require_denoiser()
     clean = np.empty_like(bands)

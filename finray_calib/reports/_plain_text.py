@@ -135,8 +135,8 @@ def relative_sentence(compared: PhotometricErrorReport | ComparisonBatch) -> str
     if not compared.relative:
         return ""
     return (
-        " Relative: the captured image without contact stands in the place of the render's, so that only the change by "
-        "contact is judged, and not the light of the render."
+        " Relative: the captured image without contact replaces the render's, so that only the change by contact is "
+        "judged, and not the light of the render."
     )
 
 

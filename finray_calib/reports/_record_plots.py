@@ -96,7 +96,7 @@ class RecordPlot:
         file = given_path(path, "path")
         if file.suffix != self.suffix:
             raise RecordError(
-                f"{file}: this drawing is {self.suffix[1:].upper()}; choose a name that ends in {self.suffix}"
+                f"{file}: the name must end in {self.suffix}, because this drawing is {self.suffix[1:].upper()}"
             )
         with writing(file):
             write_bytes(file, self.content)

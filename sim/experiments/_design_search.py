@@ -178,10 +178,13 @@ def _limits(name: str, text: str, start: float) -> tuple[float, float]:
     except ValueError:
         raise SimulateError(f"--within: '{name}={text}' must be FIELD=LOW:HIGH, such as light.angle_deg=0:60") from None
     if not (np.isfinite([low, high]).all() and low < high):
-        raise SimulateError(f"--within: {name} = {low:g}:{high:g} must be two finite numbers, the lower one first")
+        raise SimulateError(
+            f"--within: {name} = {low:g}:{high:g} must be two finite numbers LOW:HIGH with LOW below HIGH"
+        )
     if not low <= start <= high:
         raise SimulateError(
-            f"--within: {name} = {start:g} of the design lies outside {low:g} to {high:g}; the search starts from it"
+            f"--within: {name} must include the design's own value of {start:g}, from which the search starts, but "
+            f"{low:g} to {high:g} does not"
         )
     return low, high
 
@@ -307,7 +310,8 @@ def map_axis(design: FingerDesign, text: str) -> tuple[str, Floats]:
     count = int((high - low) / step + 1e-9) + 1
     if count > _MOST_MAPPED:
         raise SimulateError(
-            f"--map: {name.strip()} has {count} values; at most {_MOST_MAPPED} finger designs are mapped"
+            f"--map: {name.strip()} has {count} values, but at most {_MOST_MAPPED} finger designs can be mapped; widen "
+            "the step"
         )
     return name.strip(), np.round(low + step * np.arange(count), _DECIMALS)
 
@@ -343,8 +347,8 @@ def map_designs(
     shape = len(at_first), len(at_second)
     if first == second or shape[0] * shape[1] > _MOST_MAPPED:
         raise SimulateError(
-            f"--map: {first} and {second} make {shape[0]} x {shape[1]} fingers; two different numbers and at most "
-            f"{_MOST_MAPPED} fingers can be mapped: widen the steps"
+            f"--map: {first} and {second} make {shape[0]} x {shape[1]} fingers, but must be two different numbers with "
+            f"at most {_MOST_MAPPED} fingers in all; name two numbers, or widen the steps"
         )
     errors: dict[tuple[int, ...], Floats] = {}
     values = np.full((2, *shape), np.nan)
@@ -365,7 +369,7 @@ def map_designs(
         if progress is not None:
             progress(number, shape[0] * shape[1], f"{first} {at_first[i]:g}, {second} {at_second[j]:g}")
     if not errors:
-        raise SimulateError(f"--map: no finger of the map can be built; the first: {refused}")
+        raise SimulateError(f"--map: no finger of the map can be built (first reason: {refused})")
     best = min(errors.values(), key=lambda one: float(one.mean()))
     mean, above_u = np.full(shape, np.nan), np.full(shape, np.nan)
     for place, by_draw in errors.items():
@@ -527,12 +531,12 @@ def search_designs(
     least = 3 * (count + 1)
     if evaluations < least + 4:
         raise SimulateError(
-            f"--evaluations: {evaluations} are too few for {count} parameters; give {least + 4} or more"
+            f"--evaluations: {evaluations} are too few for {count} parameters; give at least {least + 4}"
         )
     if not least <= screened <= evaluations - 2:
         raise SimulateError(
-            f"--screen: {screened} is not possible; with {evaluations} evaluations and {count} parameters, {least} to "
-            f"{evaluations - 2} are allowed: change --screen or --evaluations"
+            f"--screen: must be from {least} to {evaluations - 2} with {evaluations} evaluations and {count} "
+            f"parameters, got {screened}; change --screen or --evaluations"
         )
     run = _Run(space, tuple(objectives), evaluate, evaluations, progress)
     run.add(space.place(space.start), "start")
@@ -543,7 +547,7 @@ def search_designs(
     failures = [one.failure for one in run.evaluated if one.failure]
     if 2 * len(failures) > len(run.evaluated):
         raise SimulateError(
-            f"most designs of the screening cannot be evaluated; give narrower limits. The first: {failures[0]}"
+            f"most designs of the screening cannot be evaluated (first reason: {failures[0]}); give narrower limits"
         )
     emulators: tuple[DesignEmulator, ...] = ()
     for step in range(evaluations - len(run.evaluated) - 1):

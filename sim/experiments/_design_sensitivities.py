@@ -117,9 +117,11 @@ def study_finger_stiffness(
     """
     names = [design.name for design in designs]
     if len(set(names)) < len(names):
-        raise SimulateError(f"two designs have the same name ({', '.join(names)}): give each its own name")
+        raise SimulateError(f"two designs have the same name ({', '.join(names)}); give each design a unique name")
     if not 0.0 <= share <= 0.5:
-        raise SimulateError(f"assumed dimensions cannot be varied by {share:g} of their value: give 0 to 0.5")
+        raise SimulateError(
+            f"assumed dimensions cannot be varied by {share:g} of their value; give a share from 0 to 0.5"
+        )
     variants = [(design, *variant) for design in designs for variant in _variants(design, share)]
     rows = []
     for done, (design, field, change_rel, value) in enumerate(variants):

@@ -296,8 +296,8 @@ class FingerEvaluator:
         """
         if renderer.variant() == SCALAR_VARIANT:
             raise SimulateError(
-                "to evaluate a finger, paths are traced once for all paints, which needs a compiled variant of "
-                "Mitsuba; leave out --engine scalar (LLVM must be installed)"
+                "evaluating a finger needs a compiled variant of Mitsuba, because paths are traced once for all "
+                "paints; leave out --engine scalar, and make sure that LLVM is installed"
             )
         self.settings = settings or EvaluationSettings()
         if min(self.settings.rays, self.settings.repeats, self.settings.draws) < 1:
@@ -395,7 +395,7 @@ class FingerEvaluator:
         """Return what facets send to the camera, and what it makes of each draw of the paints."""
         for colour in COLOURS:
             if colour not in paints:
-                raise SimulateError(f"no paint for the {colour} wall; give --paint {colour}=FILE")
+                raise SimulateError(f"the paint of the {colour} wall is missing; give --paint {colour}=FILE")
         red, green = (paints[colour] for colour in COLOURS)
         bands = paint_bands(red.optics, green.optics, design.light)
         light, points = self._light(design, bands)
@@ -436,7 +436,7 @@ class FingerEvaluator:
         places = np.array(self.settings.contact_places_mm, dtype=np.float64)
         if not ((places >= 0.0) & (places <= length)).all():
             raise ImpossibleFingerError(
-                f"contact places {places.tolist()} mm must lie on the pad, 0 to {length:g} mm (pad.length_mm)"
+                f"contact places must lie on the pad, 0 to {length:g} mm (pad.length_mm), got {places.tolist()} mm"
             )
         return places
 

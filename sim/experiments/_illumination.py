@@ -266,14 +266,14 @@ def doubts(radiance: Floats) -> tuple[str, ...]:
         best = brightest_deg(ANGLES_DEG, mean)
         if best in (ANGLES_DEG[0], ANGLES_DEG[-1]):
             notes.append(
-                f"{name}: highest at {best:g} deg, at the end of the search range or beyond it; the limits of its "
-                "uncertainty are not valid"
+                f"{name}: the maximum is at {best:g} deg, the end of the search range, so it may lie beyond, and the "
+                "limits of its uncertainty are not valid"
             )
         misfit = (mean - _cosines(ANGLES_DEG) @ _smooth(ANGLES_DEG, mean)) * mean / mean.max()
         misfit_rel = float(np.sqrt(np.mean(misfit**2)) / mean.max())
         if misfit_rel > _LARGEST_MISFIT_REL:
             notes.append(
-                f"{name}: values lie {100 * misfit_rel:.0f} % away from the smooth curve from which the maximum is read"
+                f"{name}: the values depart by {100 * misfit_rel:.0f} % from the smooth curve that gives the maximum"
             )
     return tuple(notes)
 

@@ -119,7 +119,7 @@ def sampled_paints(
             reason = str(error)
             continue
         return look
-    raise SimulateError(f"none of {_MOST_TRIES} draws of the paints conserves energy; the last draw: {reason}")
+    raise SimulateError(f"none of {_MOST_TRIES} draws of the paints conserves energy (last reason: {reason})")
 
 
 def _sampled_once(paints: Mapping[str, PaintDraws], emission_ratio: float, rng: np.random.Generator) -> SamplePaints:
@@ -167,8 +167,8 @@ def render_samples(
     )
     if not render.chains_apart:
         raise SimulateError(
-            "a data set needs a compiled renderer, which stores the light of each paint separately; this is "
-            f"{render.variant}"
+            "a data set needs a compiled renderer, which stores the light of each paint separately, but the renderer "
+            f"is {render.variant}"
         )
     return list(_looks_of(finger, render, paints)), render
 

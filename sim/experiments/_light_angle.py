@@ -264,7 +264,7 @@ def exposed_table(rgb: Floats, places_mm: Floats, shares: Floats, sensor: Sensor
     level = np.take_along_axis(np.take_along_axis(brightest, order, axis=-1), last, axis=-1)[..., 0]
     if not (level > 0.0).all():
         raise ImpossibleFingerError(
-            "the coat is black at some light angle: no exposure can be set; check the light panel"
+            "the coat is black at some light angle, so no exposure can be set; check the light panel"
         )
     full_e = (sensor.full_scale_dn - sensor.black_level_dn) * sensor.gain_e_per_dn
     signal_e = rgb * (BRIGHT_SHARE * full_e / level)[:, :, None, None, None]
@@ -361,8 +361,8 @@ def require_compiled(finger: PaintedFinger) -> None:
     """
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "the other objectives trace light once for all angles, which needs a compiled variant of Mitsuba; leave "
-            "out --engine scalar (LLVM must be installed), or give --objectives intensity"
+            "the other objectives need a compiled variant of Mitsuba, because light is traced once for all angles; "
+            "leave out --engine scalar, and make sure that LLVM is installed, or give --objectives intensity"
         )
 
 
@@ -379,8 +379,9 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
     if blind.size:
         x_mm, z_mm = table.places_mm[blind[0, 2]]
         raise SimulateError(
-            f"at x = {x_mm:.1f} mm, z = {z_mm:.1f} mm the colours of the coat do not change with its direction in two "
-            "independent ways: no normal can be computed; check the paints of both walls and the camera's response"
+            f"no normal can be computed at x = {x_mm:.1f} mm, z = {z_mm:.1f} mm, because the colours of the coat do "
+            "not change there with its direction in two independent ways; check the paints of both walls and the "
+            "camera's response"
         )
     median, worst = np.median(sigma_deg, axis=2), np.quantile(sigma_deg, WORST_TENTH, axis=2)
     tilt_deg = max(tilt for tilt, _ in OTHER_TILTS_DEG)

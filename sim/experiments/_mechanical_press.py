@@ -195,8 +195,8 @@ def _check_same_design(record: PressIncrement, design: FingerDesign) -> None:
     ]
     if other or record.preset != design.mesh.preset:
         raise SimulateError(
-            f"the stored increment belongs to another design: it differs in {', '.join(other) or 'mesh'}; "
-            "only indenter.depth_mm may change between an increment and the press that continues it"
+            f"the stored increment belongs to another design, which differs in {', '.join(other) or 'mesh'}; only "
+            "indenter.depth_mm may change when a press is continued"
         )
 
 
@@ -204,13 +204,13 @@ def _check_same_contact(record: PressIncrement, contact: ContactKind, indenter_s
     """Check that contact and STL are those of an increment, as far as it tells them."""
     if record.contact is not None and record.contact != contact:
         raise SimulateError(
-            f"the stored increment was pressed with --contact {record.contact}, which cannot be continued with "
-            f"--contact {contact}; give --contact {record.contact}, or press from the start"
+            f"the stored increment was pressed with --contact {record.contact}, but --contact {contact} was given; "
+            f"give --contact {record.contact}, or press again from the beginning"
         )
     if record.indenter_sha256 is not None and record.indenter_sha256 != indenter_sha256:
         raise SimulateError(
-            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, differs from the one of the "
-            f"stored increment: its content has changed; put the file back as it was, or press from the start"
+            f"the STL of the indenter, indenter.file = {record.design.indenter.file!r}, has changed since the stored "
+            "increment was computed; restore the original file, or press again from the beginning"
         )
 
 
@@ -221,7 +221,8 @@ def _same_mesh(record: PressIncrement, design: FingerDesign) -> FingerMesh:
     # a barrier's indenter is one node more
     if len(record.nodes_mm) not in {own, own + 1} or not np.array_equal(record.nodes_mm[:own], mesh.nodes_mm):
         raise SimulateError(
-            "the stored increment has a different mesh of this design, made by another version; press from the start"
+            "the stored increment has another mesh of this design, made by another version; press again from the "
+            "beginning"
         )
     return replace(mesh, nodes_mm=record.nodes_mm)
 
@@ -244,9 +245,9 @@ def _check_same_points(record: PressIncrement, indenter: RigidIndenter, mesh: Fi
     else:
         return
     raise SimulateError(
-        f"the stored increment is of an older version, in which contact may have acted {other}. The forces of that "
-        "increment would not be consistent with those that follow. Press from the start: leave out --resume, and give "
-        "another --out"
+        f"the stored increment is of an older version, in which contact may have acted {other}, so its forces would "
+        "not be consistent with those that follow. Press again from the beginning (leave out --resume, and give "
+        "another --out)"
     )
 
 

@@ -53,7 +53,9 @@ def press_design(press: SimulatedPress) -> FingerDesign:
         When it holds none.
     """
     if press.design is None:
-        raise SimulateError(f"{press.name} has no finger design ({press.label}): only a rendered press has a camera")
+        raise SimulateError(
+            f"{press.name} has no finger design ({press.label}), but only a rendered press has a camera"
+        )
     return press.design
 
 
@@ -68,7 +70,7 @@ def electrons_per_s(no_contact: NDArray[np.floating], sensor: Sensor, exposure_s
     )
     bright = np.percentile(blocks.mean(axis=(1, 3)), BRIGHT_PERCENTILE)
     if not bright > 0.0:
-        raise SimulateError("the image without contact is black: no exposure can be set; check the light panel")
+        raise SimulateError("the image without contact is black, so no exposure can be set; check the light panel")
     return float(BRIGHT_SHARE * sensor.full_scale_dn * sensor.gain_e_per_dn / exposure_s / bright)
 
 
@@ -92,10 +94,14 @@ def simulated_capture(press: SimulatedPress, seed: int) -> TactileCapture:
     """
     design = press_design(press)
     if press.encoding != "linear":
-        raise SimulateError(f"{press.name} holds encoded values, not light: only a rendered press can be captured")
+        raise SimulateError(
+            f"{press.name} contains encoded values, but only a rendered press in linear light can be captured"
+        )
     contact, no_contact, matrix = press.contact_bands, press.no_contact_bands, press.camera_matrix
     if contact is None or no_contact is None or matrix is None:
-        raise SimulateError(f"{press.name} holds no band images: only a rendered press can be captured")
+        raise SimulateError(
+            f"{press.name} contains no band images, but only a rendered press, which has them, can be captured"
+        )
     return camera_capture(
         BandImages(contact, no_contact, np.zeros_like(no_contact)),
         matrix,
@@ -316,8 +322,8 @@ class ColourSpread:
         )
         return (
             f"camera response to the LED: uncertain by {100 * self.response_uncertainty_rel:.0f} %. LED light makes up "
-            f"{', '.join(shares)} of red, green and blue, which are therefore uncertain by {', '.join(sds)}; the "
-            f"ratio red / blue by {ratios[0]}, green / blue by {ratios[1]}"
+            f"{', '.join(shares)} of red, green and blue, so they are uncertain by {', '.join(sds)}, the ratio red / "
+            f"blue by {ratios[0]}, and green / blue by {ratios[1]}"
         )
 
 
@@ -345,7 +351,8 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
     bands, matrix = press.contact_bands, press.camera_matrix
     if bands is None or matrix is None or "led" not in press.bands:
         raise SimulateError(
-            f"{press.name} holds no band images: only a rendered press records the origin of its colours"
+            f"{press.name} contains no band images, but only a rendered press, which has them, records the origin of "
+            "its colours"
         )
     mean = bands[np.isfinite(press.distance)].astype(np.float64).mean(axis=0)
     led, uncertainty = press.bands.index("led"), design.camera.response_at_led_uncertainty_rel

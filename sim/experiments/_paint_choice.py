@@ -377,9 +377,11 @@ class Steps:
 def _check(finger: UnpaintedFinger, paints: Mapping[str, PaintDraws]) -> None:
     """Refuse what cannot be compared."""
     if len(paints) < 2:
-        raise SimulateError(f"a finger carries two paints, got {len(paints)}; give --paint FILE at least twice")
+        raise SimulateError(
+            f"a comparison of paints needs at least two paints, got {len(paints)}; give --paint FILE at least twice"
+        )
     if finger.renderer.variant() == SCALAR_VARIANT:
         raise SimulateError(
-            "to compare paints, paths are traced once for all of them, which needs a compiled variant of Mitsuba; "
-            "leave out --engine scalar (LLVM must be installed)"
+            "comparing paints needs a compiled variant of Mitsuba, because paths are traced once for all paints; leave "
+            "out --engine scalar, and make sure that LLVM is installed"
         )

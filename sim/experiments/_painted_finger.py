@@ -56,8 +56,8 @@ class PaintedFinger:
         missing = [colour for colour in COLOURS if colour not in self.paints]
         if missing:
             raise SimulateError(
-                f"no paint for the {missing[0]} wall: give --paint red=FILE and --paint green=FILE (both written by "
-                "'finray fit')"
+                f"the paint of the {missing[0]} wall is missing; give --paint red=FILE and --paint green=FILE (both "
+                "written by 'finray fit')"
             )
 
     def coverage_notes(self, bands: PaintBands) -> tuple[str, ...]:
@@ -207,6 +207,7 @@ def require_paints_in_order(modes_nm: Mapping[str, float], names: Mapping[str, s
     if len(modes_nm) < len(COLOURS) or modes_nm["red"] >= modes_nm["green"]:
         return
     raise SimulateError(
-        f"red={names['red']} emits most at {modes_nm['red']:.0f} nm, below green={names['green']} at "
-        f"{modes_nm['green']:.0f} nm: the two look swapped. Exchange them, or give {remedy} if this is intended"
+        f"the paints look swapped, because red={names['red']} emits most at {modes_nm['red']:.0f} nm, below "
+        f"green={names['green']} at {modes_nm['green']:.0f} nm. Exchange the paints, or give {remedy} if this is "
+        "intended"
     )

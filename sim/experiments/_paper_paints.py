@@ -344,7 +344,7 @@ def _emission(matrix: DonaldsonMatrix) -> SpectralCurve:
     if not averaged.any() or columns[-1] < LASER_NM or rows[0] > LASER_NM + FIRST_STOKES_NM or rows[-1] < GRID_NM[-1]:
         raise SimulateError(
             f"{matrix.source}: covers excitation {columns[0]:g} to {columns[-1]:g} nm and emission {rows[0]:g} to "
-            f"{rows[-1]:g} nm; needed are excitations within {low_nm:g} to {high_nm:g} nm and up to the laser at "
+            f"{rows[-1]:g} nm, but must cover excitation within {low_nm:g} to {high_nm:g} nm and up to the laser at "
             f"{LASER_NM:g} nm, and emission from {LASER_NM + FIRST_STOKES_NM:g} to {GRID_NM[-1]:g} nm"
         )
     seen = rows >= LASER_NM + FIRST_STOKES_NM
@@ -352,8 +352,8 @@ def _emission(matrix: DonaldsonMatrix) -> SpectralCurve:
     total = matrix.emission_at(LASER_NM).values[seen].sum()
     if not (total > 0 and shape.sum() > 0):
         raise SimulateError(
-            f"{matrix.source}: under {LASER_NM:g} nm nothing is emitted from {LASER_NM + FIRST_STOKES_NM:g} nm on; "
-            "give the matrix of a material that fluoresces there"
+            f"{matrix.source}: the material emits nothing above {LASER_NM + FIRST_STOKES_NM:g} nm under light of "
+            f"{LASER_NM:g} nm; give the matrix of a material that fluoresces there"
         )
     return SpectralCurve(
         name=f"{matrix.name}, emission", wavelength_nm=rows, values=shape * (total / shape.sum()), source=matrix.source
@@ -370,9 +370,9 @@ def _stand_in_absorption(matrix: DonaldsonMatrix, emission: SpectralCurve) -> Sp
     known = expected > 0
     if not (known.any() and np.interp(LASER_NM, columns, np.where(known, light, 0.0)) > 0):
         raise SimulateError(
-            f"{matrix.source}: no emission {STRIP_NM[0]:g} to {STRIP_NM[1]:g} nm above the peak at {peak_nm:g} nm "
-            f"under the laser at {LASER_NM:g} nm, so the absorption cannot be read from the matrix; give "
-            "a fluorescent material"
+            f"{matrix.source}: the absorption cannot be read from the matrix, because nothing is emitted "
+            f"{STRIP_NM[0]:g} to {STRIP_NM[1]:g} nm above the peak at {peak_nm:g} nm under the laser at {LASER_NM:g} "
+            "nm; give a fluorescent material"
         )
     photons = light[known] / expected[known] / columns[known]
     return SpectralCurve(
@@ -438,7 +438,7 @@ def reproduce_paper_paints(
     """
     if not red or not green:
         raise SimulateError(
-            "paper paints: give at least one measured re-radiation matrix for red and one for green "
+            "paper paints: a measured re-radiation matrix for red or green is missing; give at least one for each "
             "(--red CSV --green CSV)"
         )
     names = [matrix.name for matrix in (*red, *green)]

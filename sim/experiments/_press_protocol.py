@@ -135,8 +135,9 @@ def press_protocol(sensor: FingerDesign | PlainSensor) -> PressProtocol:
     extent = min(LARGEST_MM, float(np.floor(2.0 * SHARE_OF_PAD * size) / 2.0))
     if extent < LEAST_MM:
         raise RecordError(
-            f"pad: {pad.length_mm:g} x {pad.width_mm:g} mm leaves room for solids of {extent:g} mm, whose details are "
-            f"too small to be printed; a pad of at least {LEAST_MM / SHARE_OF_PAD:.2g} mm in each direction is needed"
+            f"pad: {pad.length_mm:g} x {pad.width_mm:g} mm is too small, because it leaves room only for solids of "
+            f"{extent:g} mm, whose details cannot be printed; the pad must be at least {LEAST_MM / SHARE_OF_PAD:.2g} "
+            "mm long and wide"
         )
     shallow, deep = (
         round(min(share * pad.thickness_mm, share / DEPTHS_REL[1] * DEEPEST_MM), 2) for share in DEPTHS_REL

@@ -189,7 +189,7 @@ def mirror_images(nodes_mm: Floats) -> Integers:
     """Return the number of each node's mirror image across the finger's middle."""
     distance, image = cKDTree(nodes_mm).query(nodes_mm * np.array([-1.0, 1.0, 1.0]))
     if np.max(distance) > _SAME_NODE_MM:
-        raise SimulateError("the mesh is not symmetric about the plane x = 0, which training a surrogate needs")
+        raise SimulateError("training a surrogate needs a mesh that is symmetric about x = 0, but this mesh is not")
     return np.asarray(image)
 
 
@@ -228,7 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("in every press ribs pass through each other from the start, so none can be used to train")
+        raise SimulateError("no press can be used for training, because in all of them ribs pass through each other")
     return whole
 
 
@@ -357,7 +357,7 @@ def train_surrogate(
     """
     settings, begun = settings or TrainingSettings(), time.process_time()
     if settings.presses < FEWEST_PRESSES:
-        raise SimulateError(f"{settings.presses} presses are too few; at least {FEWEST_PRESSES} are needed")
+        raise SimulateError(f"{settings.presses} presses are too few; give at least {FEWEST_PRESSES}")
     preset, family = settings.preset or design.mesh.preset, press_family(design)
     condensed = condense_finger(design, preset, settings.threads, progress)
     finger = CondensedFinger(design, preset, condensed)
@@ -575,7 +575,7 @@ class SurrogateFinger:
         """Return why an answer is not to be taken."""
         for what, share in zip(("force", "surface"), shares, strict=True):
             if not share <= self.limit_rel:
-                return f"its {what} may be wrong by {100 * share:.1f} %, and the limit is {100 * self.limit_rel:.1f} %"
+                return f"its {what} may be wrong by {100 * share:.1f} % (at most {100 * self.limit_rel:.1f} % allowed)"
         if self.record.crossed_features is not None:
             sets = (self.record.crossed_features, self.record.sample_features)
             squares = [((places - place) / self.record.surface_kernel.lengths) ** 2 for places in sets]

@@ -126,7 +126,7 @@ def press_with_render(
     finger = scene.finger
     if how.with_pose_response and scene.shapes is not None:
         raise SimulateError(
-            "the response to the pose can be rendered for the analytic press only; leave out --pose-response or "
+            "the response to the pose can be rendered only for the analytic press; leave out --pose-response or "
             "--surfaces"
         )
     if how.with_pose_response:
@@ -330,8 +330,8 @@ def _paint_factors(
         tried += 1
         if tried - len(found) > max(20, _LARGEST_UNPHYSICAL_SHARE * tried):
             raise SimulateError(
-                f"more than half the posterior draws of {calibration.paint_name} return more light than falls "
-                "on the paint; check the white reference of its session"
+                f"more than half of the posterior draws of {calibration.paint_name} return more light than falls on "
+                "the paint; check the white reference of the capture session of this paint"
             )
         paint = replace(finger.paints[colour], emission_per_nm=np.maximum(emission[rng.integers(len(emission))], 0.0))
         try:
@@ -439,8 +439,8 @@ def moved_designs(design: FingerDesign) -> tuple[tuple[FingerDesign, FingerDesig
                 pair.append(FingerDesign.model_validate(values))
             except ValidationError:
                 raise SimulateError(
-                    f"the response to the pose moves indenter.{field} by {step_mm:g} mm to either side, and "
-                    f"{values['indenter'][field]:g} mm is not possible: press deeper, or farther from the end of the "
+                    f"the response to the pose moves indenter.{field} by {step_mm:g} mm to either side, but "
+                    f"{values['indenter'][field]:g} mm is not possible; press deeper, or farther from the end of the "
                     "pad, or leave out --pose-response"
                 ) from None
         found.append((pair[0], pair[1]))
@@ -549,8 +549,8 @@ def _lights(press: SimulatedPress) -> tuple[RenderedLight, RenderedLight, Finger
     """Return the light that a press was rendered with and the one that it shows."""
     if press.rendered_light is None or press.design is None or _layers(press)[0] is None:
         raise SimulateError(
-            f"{press.name} ({press.label}) does not hold the light that it was rendered with; only a press rendered by "
-            "'finray simulate render' of this version can be recoloured: render it again"
+            f"{press.name} ({press.label}) does not contain the light that it was rendered with, so it cannot be "
+            "recoloured; render the press again with 'finray simulate render' of this version"
         )
     return press.rendered_light, press.shown_light or press.rendered_light, press.design
 
@@ -566,9 +566,9 @@ def _require_chains(press: SimulatedPress, before: PaintBands, after: PaintBands
     """Refuse other paints where they need a new render."""
     if not press.chains:
         raise SimulateError(
-            f"{press.name} ({press.label}) does not hold each chain of fluorescence separately, as other paints need; "
-            "render with --level b in a compiled variant of Mitsuba (--engine llvm), or change camera and white "
-            "balance only"
+            f"{press.name} ({press.label}) does not contain each chain of fluorescence separately, but other paints "
+            "need this; render with --level b in a compiled variant of Mitsuba (--engine llvm), or change only camera "
+            "and white balance"
         )
     require_same_reflectance(before.reflectance, after.reflectance)
     require_near_bands(before.bands, after.bands)
@@ -592,7 +592,10 @@ def _gains(white_balance: WhiteBalance, press: SimulatedPress, layers_to_rgb: Fl
             of_rows = np.matmul(pad[:, None, :].astype(np.float32), layers)[:, 0]
             means = layers_to_rgb @ of_rows.sum(axis=0, dtype=np.float64)
         if not (means > 0.0).all():
-            raise SimulateError(f"{press.name}: the pad without contact is black or not seen; give three gains")
+            raise SimulateError(
+                f"{press.name}: the gains of the white balance cannot be found, because the pad without contact is "
+                "black or not seen; give three gains"
+            )
         gains = means[BAND_NAMES.index("green")] / means
     else:
         gains = np.array(white_balance, dtype=np.float64)

@@ -87,25 +87,26 @@ def _require_alike(captures: Sequence[TactileCapture]) -> None:
     """Refuse captures that are not of one sensor as it stands."""
     first = captures[0]
     if len({capture.name for capture in captures}) < len(captures):
-        raise SimulateError("--captures: one capture is given twice; give each once")
+        raise SimulateError("--captures: a capture is given twice; give each capture only once")
     pictures = [np.asarray(capture.contact).tobytes() for capture in captures]
     for number, picture in enumerate(pictures):
         if picture in pictures[:number]:
             raise SimulateError(
-                f"--captures: {captures[number].name} holds the same picture as "
-                f"{captures[pictures.index(picture)].name}: it would count twice; give each capture once"
+                f"--captures: {captures[number].name} contains the same picture as "
+                f"{captures[pictures.index(picture)].name}, which would count twice; give each capture only once"
             )
     for capture in captures:
         if capture.encoding != "linear":
             raise SimulateError(
-                f"{capture.name}: encoding = {capture.encoding!r}; powers and yields can be fitted to linear values "
-                f"only: capture raw counts, or import the pictures with their tone curve taken out"
+                f"{capture.name}: encoding = {capture.encoding!r} is not supported, because powers and yields can be "
+                "fitted only to linear values; capture raw counts, or import the pictures with their tone curve taken "
+                "out"
             )
         for name in ("layout", "bit_depth", "black_level_dn", "exposure_s"):
             if getattr(capture, name) != getattr(first, name):
                 raise SimulateError(
                     f"{capture.name}: {name} = {getattr(capture, name)} differs from {getattr(first, name)} of "
-                    f"{first.name}; one gain holds for all captures: give captures of one setting"
+                    f"{first.name}, but one gain holds for all captures; give captures of one setting"
                 )
         if capture.contact.shape != first.contact.shape:
             raise SimulateError(f"{capture.name} and {first.name} differ in size; give captures of one camera")
@@ -200,9 +201,9 @@ def fit_sensor(
     steps.done("the unchanged design")
     if base.pictures.shape[-2:] != pictures.shape[-2:]:
         raise SimulateError(
-            f"the design renders {base.pictures.shape[4]} x {base.pictures.shape[3]} px, {captures[0].name} has "
-            f"{pictures.shape[3]} x {pictures.shape[2]} px (a Bayer picture counts one pixel per 2 x 2 cell): set "
-            "camera.width_px and camera.height_px of the design to the latter"
+            f"the design renders {base.pictures.shape[4]} x {base.pictures.shape[3]} px, but {captures[0].name} has "
+            f"{pictures.shape[3]} x {pictures.shape[2]} px (a Bayer picture counts one pixel per 2 x 2 cell); set "
+            "camera.width_px and camera.height_px of the design to the size of the captures"
         )
     model, dark = _without_dark_channels(
         _model(scene, moving, picture_blocks(pictures, noise, base.on_pad), base), scene.design.name
@@ -254,7 +255,7 @@ def _as_captured(design: Design, capture: TactileCapture) -> Design:
     pose, values = capture.indenter, {}
     if pose.shape != design.indenter.shape:
         raise SimulateError(
-            f"{capture.name} presses a {pose.shape}, but the design a {design.indenter.shape}: set "
+            f"{capture.name} presses a {pose.shape}, but the design presses a {design.indenter.shape}; set "
             "indenter.shape and its size in the design"
         )
     for name in ("radius_mm", "depth_mm", "position_mm"):
@@ -268,8 +269,8 @@ def _require_same_light(design: FingerDesign, name: str, lit_deg: float) -> None
     """Refuse a capture under another angle of the light."""
     if abs(lit_deg - design.light.angle_deg) > _SAME_ANGLE_DEG:
         raise SimulateError(
-            f"{name} is lit at {lit_deg:g} deg, but the design at {design.light.angle_deg:g} deg: set "
-            "light.angle_deg of the design to that of the captures"
+            f"{name} is lit at {lit_deg:g} deg, but the design is lit at {design.light.angle_deg:g} deg; set "
+            "light.angle_deg of the design to the angle of the captures"
         )
 
 
@@ -283,7 +284,7 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeParameter,
             raise SimulateError(f"--free {name}: has no effect here, {idle[name]}")
         if isinstance(value, bool) or not isinstance(value, float) or not value > 0.0:
             raise SimulateError(
-                f"--free {name}: must be a positive number of the design by its dotted path, such as "
+                f"--free {name}: must be the dotted path of a positive number of the design, such as "
                 f"{' or '.join(EXAMPLES)}; powers, yields, gain, shift, scale and blur are always fitted"
             )
         if name.endswith("power_rel"):
@@ -291,12 +292,12 @@ def _design_numbers(design: Design, free: Sequence[str]) -> tuple[FreeParameter,
         if name in ("indenter.depth_mm", "indenter.position_mm"):
             needed = f"{name.removesuffix('_mm')}_uncertainty_mm"
             raise SimulateError(
-                f"--free {name}: is fitted for every capture that states {needed}; leave out --free {name}"
+                f"--free {name}: is always fitted for captures that state {needed}; leave out --free {name}"
             )
         if name.startswith("indenter."):
             raise SimulateError(
-                f"--free {name}: of the indenter only depth_mm and position_mm are fitted, where the capture states "
-                f"their uncertainty; leave out --free {name}"
+                f"--free {name}: only depth_mm and position_mm of the indenter can be fitted, and they are fitted "
+                f"where the capture states their uncertainty; leave out --free {name}"
             )
         # of entries of a list the design states one uncertainty and one origin, that of all
         field = ".".join(part for part in name.split(".") if not part.isdecimal())
@@ -345,7 +346,7 @@ def _model(
     gain = float((at * captured.values).sum() / max(float((at**2).sum()), np.finfo(float).tiny))
     if not gain > 0.0:
         raise SimulateError(
-            "the captured pictures are dark where the design shows the pad: check the camera of the design"
+            "the captured pictures are dark where the design shows the pad; check the camera of the design"
         )
     return replace(model, numbers=tuple(replace(n, value=gain) if n.name == GAIN else n for n in numbers))
 
@@ -370,8 +371,8 @@ def _without_dark_channels(model: PictureModel, name: str) -> tuple[PictureModel
     kept = np.flatnonzero(designed & captured)
     if not len(kept):
         raise SimulateError(
-            f"no channel holds light both in the captures and in the design's pictures: {'; '.join(told)}; give the "
-            "lights of the design the channels that the camera sees them in (lights.channel), or check the exposure "
+            f"no channel has light both in the captures and in the design's pictures ({'; '.join(told)}); set "
+            "lights.channel of the design to the channels in which the camera sees the lights, or check the exposure "
             "of the captures"
         )
     blocks = replace(model.captured, values=model.captured.values[:, kept], variance=model.captured.variance[:, kept])
@@ -486,15 +487,18 @@ def _record(
     far = [n.name for k, n in enumerate(model.numbers) if n.name != GAIN and abs(theta[:, k].mean()) > _FAR_SD]
     notes = [*dark, *_NOTES_OF_EVERY_FIT]
     if not posterior.converged:
-        notes.append("the search has not converged: give more --samples, or state smaller uncertainties")
+        notes.append("the search has not converged; give more --samples, or state smaller uncertainties")
     if far:
-        notes.append(f"far outside the prior ({_FAR_SD:g} standard deviations): {', '.join(far)}; check the design")
+        notes.append(
+            f"numbers far outside the prior (more than {_FAR_SD:g} standard deviations): {', '.join(far)}; check the "
+            "design"
+        )
     noisy = [n.name for n, share in zip(model.numbers, posterior.noise_share, strict=True) if share > _MOST_NOISE]
     if noisy:
-        notes.append(f"the renders are too noisy to determine {', '.join(noisy)}: give more --samples")
+        notes.append(f"the renders are too noisy to determine {', '.join(noisy)}; give more --samples")
     if not any(n.place == "press" for n in model.numbers):
         notes.append(
-            "the captures state no uncertainty of depth or position: the poses of the presses count as exactly known"
+            "the captures state no uncertainty of depth or position, so the poses of the presses count as exactly known"
         )
     return SensorFit(
         name=design.name,
@@ -566,7 +570,7 @@ def fitted_design(fit: SensorFit) -> Design:
     """
     design = fit.finger or fit.sensor
     if design is None:
-        raise SimulateError(f"{fit.name}: the fit holds no design")
+        raise SimulateError(f"{fit.name}: the fit contains no design")
     values, origin, spread = {}, dict(design.origin), dict(design.uncertainty_rel)
     for number in fit.numbers:
         if value_at(design, number.name) is None or number.verdict not in ("determined", "partly determined"):

@@ -279,9 +279,9 @@ def _cells(sensor: PlainSensor, seen_mm: Floats) -> list[NDArray[np.bool_]]:
             found.append(cell)
     if 2 * len(found) < np.prod(shape):
         raise SimulateError(
-            f"the camera sees {len(found)} of {np.prod(shape)} cells of the pad with at least {_LEAST_PIXELS} pixels, "
-            "but half of the cells are needed; check camera.distance_mm, camera.field_of_view_deg and the size of the "
-            "picture"
+            f"the camera sees only {len(found)} of {np.prod(shape)} cells of the pad with at least {_LEAST_PIXELS} "
+            "pixels, but half of the cells must be seen; check camera.distance_mm, camera.field_of_view_deg and the "
+            "size of the picture"
         )
     return found
 
@@ -413,7 +413,7 @@ class FingerLayers:
                 for light in range(len(self._lights))
             ]  # fmt: skip
             if not renders[0].chains_apart:
-                raise SimulateError("fitting a finger needs a compiled variant of Mitsuba: install LLVM 17 or newer")
+                raise SimulateError("fitting a finger needs a compiled variant of Mitsuba; install LLVM 17 or newer")
             if number == 0:
                 on_pad = np.isfinite(renders[0].no_contact_maps.coat_mm(_finger(press))[..., 0])
                 at_rest = [self._apart(render, "no_contact") for render in renders]
@@ -521,6 +521,7 @@ def with_changed_values(design: D, values: Mapping[str, float]) -> D:
     except ValidationError as refused:
         fields = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
         raise SimulateError(
-            f"{fields}: a render one standard uncertainty from the design is refused ({refused.errors()[0]['msg']}); "
-            "state a smaller uncertainty_rel in the design, or leave the number out of --free"
+            f"{fields}: the fit renders the design one standard uncertainty away, but this is not a valid design "
+            f"({refused.errors()[0]['msg']}); state a smaller uncertainty_rel in the design, or leave the number out "
+            "of --free"
         ) from refused

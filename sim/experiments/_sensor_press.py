@@ -107,8 +107,8 @@ def pressed_coat(sensor: PlainSensor, folder: Path = Path()) -> PressedCoat:
     _require_under(tool, design)
     if (tool < rest.height_mm).all():
         raise SimulateError(
-            f"the {design.indenter.shape} covers the pad from end to end, so that no free gel is left beside "
-            "it; make the indenter smaller"
+            f"the {design.indenter.shape} covers the pad from end to end and leaves no free gel; make the indenter "
+            "smaller"
         )
     layer = press_layer(rest.height_mm - tool, rest.x_mm, rest.z_mm, sensor.pad.thickness_mm, sensor.gel_poisson_ratio)
     pressed = replace(rest, height_mm=rest.height_mm - layer.sunk_mm)
@@ -144,8 +144,8 @@ def _require_under(tool_mm: Floats, design: FingerDesign) -> None:
     if left_mm < _THINNEST_GEL_MM:
         most = design.indenter.depth_mm + left_mm - _THINNEST_GEL_MM
         raise SimulateError(
-            f"indenter.depth_mm = {design.indenter.depth_mm:g} mm goes through the pad; there it can be at most "
-            f"{max(most, 0.0):.3g} mm, which leaves {_THINNEST_GEL_MM:g} mm of gel"
+            f"indenter.depth_mm = {design.indenter.depth_mm:g} mm goes through the pad, but {_THINNEST_GEL_MM:g} mm of "
+            f"gel must be left; reduce indenter.depth_mm to at most {max(most, 0.0):.3g} mm"
         )
 
 
@@ -213,9 +213,8 @@ def _given_coat(sensor: PlainSensor, surface: CoatSurface, folder: Path) -> Pres
         height = height_over_pad_mm(vertices[triangles], x, z, "highest")
         if np.isnan(height).any():
             raise SimulateError(
-                f"{path}: covers {100 * np.isfinite(height).mean():.0f} % of the pad; a mesh of the coat must cover "
-                f"all of it, "
-                f"x = {x[0]:g} to {x[-1]:g} mm and z = 0 to {z[-1]:g} mm in the axes of the pad"
+                f"{path}: covers only {100 * np.isfinite(height).mean():.0f} % of the pad, but a mesh of the coat must "
+                f"cover all of it, x = {x[0]:g} to {x[-1]:g} mm and z = 0 to {z[-1]:g} mm in the axes of the pad"
             )
     else:
         height = _mapped(sensor, surface, path, (x, z), undeformed)
@@ -232,8 +231,8 @@ def _require_gel(height_mm: Floats, what: str) -> None:
     lowest = float(height_mm.min())
     if lowest < _THINNEST_GEL_MM:
         raise SimulateError(
-            f"{what} reaches down to {lowest:.4g} mm above the inner face; at least {_THINNEST_GEL_MM:g} mm of gel "
-            "must be left (check unit_mm, and whether surface.holds is depth or height)"
+            f"{what} reaches down to {lowest:.4g} mm above the inner face, but at least {_THINNEST_GEL_MM:g} mm of gel "
+            "must be left; check unit_mm, and whether surface.holds is depth or height"
         )
 
 
@@ -270,8 +269,8 @@ def _require_no_cliff(path: Path, known: NDArray[np.bool_], depth_mm: Floats) ->
         cliff = max(cliff, float(step[border].max(initial=0.0)))
     if cliff > _LARGEST_CLIFF_MM:
         raise SimulateError(
-            f"{path}: the map ends on the pad with a step of {cliff:.3g} mm; at most {_LARGEST_CLIFF_MM:g} mm is "
-            "allowed: give a map that covers the pad, or one whose border is undeformed"
+            f"{path}: the map ends on the pad with a step of {cliff:.3g} mm, but at most {_LARGEST_CLIFF_MM:g} mm is "
+            "allowed; give a map that covers the pad, or a map whose border is undeformed"
         )
 
 
@@ -413,8 +412,8 @@ def planned_presses(pad_design: FingerDesign, ball_radius_mm: float, count: int)
     pad = pad_design.pad
     if pad.shape != "flat":
         raise SimulateError(
-            f"pad.shape = {pad.shape!r}: Taxim's table treats every slope as contact, also that of a curved "
-            "pad at rest; only flat pads can be exported"
+            f"pad.shape = {pad.shape!r} cannot be exported, because Taxim's table treats every slope as contact, also "
+            "that of a curved pad at rest; export a flat pad"
         )
     deepest = max(DEPTHS_REL) * pad.thickness_mm
     margin = float(np.sqrt(2.0 * ball_radius_mm * deepest - min(deepest, ball_radius_mm) ** 2))
@@ -422,8 +421,8 @@ def planned_presses(pad_design: FingerDesign, ball_radius_mm: float, count: int)
     if deepest > _DEEPEST_IN_RADII * ball_radius_mm or room.min() <= 0.0:
         raise SimulateError(
             f"a ball of {ball_radius_mm:g} mm radius does not fit a pad of {pad.length_mm:g} x {pad.width_mm:g} x "
-            f"{pad.thickness_mm:g} mm: the ball needs a radius above {deepest / _DEEPEST_IN_RADII:.3g} mm, and "
-            f"contacts that leave room on the pad (half-width {margin:.3g} mm)"
+            f"{pad.thickness_mm:g} mm; its radius must be above {deepest / _DEEPEST_IN_RADII:.3g} mm, and its largest "
+            f"contact (half-width {margin:.3g} mm) must leave room on the pad"
         )
     designs = []
     for k in range(count):
@@ -516,8 +515,8 @@ def _require_straight_camera(sensor: PlainSensor) -> None:
         turned.append("calibration")
     if turned:
         raise SimulateError(
-            f"camera.{turned[0]}: Taxim's pictures are those of a camera that looks straight at the middle of the pad "
-            f"through an ideal pinhole; leave out {', '.join(turned)}"
+            f"camera.{turned[0]} is not supported, because Taxim's pictures are those of a camera that looks straight "
+            f"at the middle of the pad through an ideal pinhole; leave out {', '.join(turned)}"
         )
 
 
@@ -606,7 +605,7 @@ def render_finger_presses(
         if progress is not None:
             progress(step, count, f"press {step}")
     if plane is None:
-        raise SimulateError(f"count = {count}: at least one press must be rendered")
+        raise SimulateError(f"count must be at least 1 press, got {count}")
     scale, pad = plane.mm_per_px, finger.design.pad
     # 8 bits would leave nothing of red and green beside blue
     levels = no_contact[plane.is_seen].mean(axis=0)
@@ -636,8 +635,8 @@ class _PadPlane:
         seen = np.isfinite(place).all(axis=-1)
         if seen.sum() < _FEWEST_PIXELS:
             raise SimulateError(
-                f"camera: {int(seen.sum())} pixels see the pad, but at least {_FEWEST_PIXELS} are needed; give the "
-                "camera more pixels or turn it to the pad"
+                f"camera: only {int(seen.sum())} pixels see the pad, but at least {_FEWEST_PIXELS} are needed; give "
+                "the camera more pixels or turn it towards the pad"
             )
         pad = design.pad
         self.mm_per_px = side = float(np.sqrt(pad.length_mm * pad.width_mm / seen.sum()))

@@ -323,19 +323,19 @@ def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     """
     if len(captures) < LEAST_TEACHING_PRESSES:
         raise SimulateError(
-            f"there are {len(captures)} training presses, but the model of an elastic gel needs at least "
+            f"there are only {len(captures)} training presses, but the model of an elastic gel needs at least "
             f"{LEAST_TEACHING_PRESSES}"
         )
     first = captures[0]
     radius_mm, scale = _ball_and_scale(first)
     digests = tuple(contact_sha256(capture) for capture in captures)
     if len(set(digests)) < len(digests):
-        raise SimulateError(f"{captures[-1].name}: one contact image is given twice; give each press once")
+        raise SimulateError(f"{captures[-1].name}: the same contact image is given twice; give each press only once")
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(
-                f"{capture.name}: ball, scale or size differ from those of {first.name}; train with one ball and one "
-                "camera"
+                f"{capture.name}: the ball, the scale or the size of the picture differs from {first.name}; train with "
+                "one ball and one camera"
             )
     presses = [_press(capture, taught=True) for capture in captures]
     for capture, press in zip(captures, presses, strict=True):
@@ -368,7 +368,7 @@ class _Start:
 def _require_seen(capture: TactileCapture, press: _Press) -> None:
     """Refuse a press that shows too little of its contact."""
     if not len(press.ratio):
-        raise SimulateError(f"{capture.name}: its contact circle lies outside the picture; correct contact_circle")
+        raise SimulateError(f"{capture.name}: the contact circle lies outside the picture; correct contact_circle")
     seen = np.isfinite(press.ratio).mean(axis=0)
     if seen.min() < _LEAST_SEEN:
         channel = int(seen.argmin())
@@ -388,16 +388,21 @@ def predict_on_gel(gel: FittedGel, capture: TactileCapture) -> SimulatedPress:
     """
     if contact_sha256(capture) in gel.training_sha256:
         raise SimulateError(
-            f"{capture.name}: its contact image was used to train the model ({', '.join(gel.training_presses)}), so "
-            "its prediction for this press proves nothing"
+            f"{capture.name}: the model was trained on this contact image (training presses: "
+            f"{', '.join(gel.training_presses)}), so the model's prediction for this press proves nothing; leave the "
+            "press out"
         )
     distance = _distance(capture)
     if distance.shape != gel.shape_px:
-        raise SimulateError(f"{capture.name}: its size differs from that of the model's training presses")
+        raise SimulateError(
+            f"{capture.name}: the size of the picture differs from the model's training presses; give captures of the "
+            "same camera"
+        )
     if _ball_and_scale(capture) != (gel.ball_radius_mm, gel.mm_per_px):
         raise SimulateError(
-            f"{capture.name}: ball or scale differ from those of the model's training presses, a ball of "
-            f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm a pixel"
+            f"{capture.name}: the ball or the scale differs from the model's training presses (a ball of "
+            f"{gel.ball_radius_mm:g} mm radius at {gel.mm_per_px:g} mm per pixel); give captures with that ball and "
+            "scale"
         )
     ratio = (
         _Lights.of(gel.theta, gel.start, gel.circle_rel)
@@ -413,8 +418,9 @@ def _ball_and_scale(capture: TactileCapture) -> tuple[float, float]:
     pose, cell = capture.indenter, 1 if capture.layout == "RGB" else 2
     if pose.shape != "ball" or pose.radius_mm is None or capture.mm_per_px is None or capture.contact_circle is None:
         raise SimulateError(
-            f"{capture.name}: the model of an elastic gel needs the circle of a ball's contact, the ball's radius and "
-            "the scale (contact_circle, indenter.radius_mm, mm_per_px)"
+            f"{capture.name}: contact_circle, indenter.radius_mm or mm_per_px is missing, or the indenter is not a "
+            "ball, but the model of an elastic gel needs the circle of a ball's contact, the ball's radius and the "
+            "scale"
         )
     return pose.radius_mm, capture.mm_per_px * cell
 
@@ -424,7 +430,8 @@ def _distance(capture: TactileCapture) -> Floats:
     distance = contact_distance(capture)
     if distance is None:
         raise SimulateError(
-            f"{capture.name}: does not state where its contact is; import it with a circle, an outline or a search"
+            f"{capture.name}: the capture does not state where the contact is; import the capture with a circle, an "
+            "outline or a search"
         )
     return distance
 
@@ -437,8 +444,8 @@ def _press(capture: TactileCapture, *, taught: bool) -> _Press:
     half_width = 0.0 if circle is None else circle.radius_px / cell * step
     if circle is None or half_width > _LARGEST_CIRCLE:
         raise SimulateError(
-            f"{capture.name}: its contact circle of {half_width * radius_mm:.3g} mm radius is larger than the ball of "
-            f"{radius_mm:g} mm; correct contact_circle, mm_per_px or indenter.radius_mm"
+            f"{capture.name}: the contact circle of {half_width * radius_mm:.3g} mm radius is larger than the ball of "
+            f"{radius_mm:g} mm radius; correct contact_circle, mm_per_px or indenter.radius_mm"
         )
     half_width = min(half_width, _NEAREST_RIM)
     used = np.ones(distance.shape, dtype=np.bool_)
@@ -502,8 +509,8 @@ def _fitted(presses: Sequence[_Press], start: _Start, theta: Floats, error: floa
     found = least_squares(misfit, theta, max_nfev=_MOST_EVALUATIONS)
     if found.status < 1:
         raise SimulateError(
-            f"the model of an elastic gel was not fitted in {_MOST_EVALUATIONS} steps; check that circles, ball "
-            "and scale are those of the presses"
+            f"the fit of the model of an elastic gel did not converge in {_MOST_EVALUATIONS} steps; check that "
+            "circles, ball and scale are those of the presses"
         )
     slopes = np.asarray(found.jac, dtype=np.float64)
     return np.asarray(found.x), slopes.T @ slopes

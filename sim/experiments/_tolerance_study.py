@@ -131,11 +131,13 @@ def tolerance_inputs(
     for field, size in (vary or {}).items():
         if _nominal(design, paints, field) is None:
             raise SimulateError(
-                f"--vary {field}: is not a number of this finger that its light depends on. Give a dotted path of the "
-                f"design, with the axis last for a position; usual are {', '.join(ranges)}"
+                f"--vary {field}: is not a number of this finger that affects the light. Give the dotted path of a "
+                f"number in the design, with the axis last for a position; the usual ones are {', '.join(ranges)}"
             )
         if not (np.isfinite(size) and size >= 0.0):
-            raise SimulateError(f"--vary {field}={size:g}: a half-range must be 0 (the number is left out) or more")
+            raise SimulateError(
+                f"--vary {field}={size:g}: a half-range must be 0 or more, and finite (0 leaves the number out)"
+            )
         ranges[field] = (size, "given")
     return tuple(
         ToleranceInput(field, float(_nominal(design, paints, field) or 0.0), float(size), _unit(field), origin)
@@ -223,7 +225,7 @@ def varied_finger(
 def _scaled(paint: PaintDraws, factor: float) -> PaintDraws:
     """Return a batch of another yield."""
     if not factor > 0.0:
-        raise ImpossibleFingerError(f"a yield of {factor:g} times the calibrated one is not possible")
+        raise ImpossibleFingerError(f"a yield of {factor:g} times the calibrated yield is not possible")
     optics = replace(paint.optics, emission_per_nm=factor * paint.optics.emission_per_nm)
     return replace(paint, optics=optics, emission_per_nm=factor * paint.emission_per_nm)
 
@@ -533,7 +535,7 @@ def _box_factor(sides: Sequence[_Side], allowed: float) -> float:
     if refused and min(refused) == 0.0:
         blocked = next(side for side in sides if side.ended_by and not side.steps)
         raise SimulateError(
-            f"a finger at the given half-range cannot be built: {blocked.ended_by}. Give a smaller one (--vary)"
+            f"a finger at the given half-range cannot be built ({blocked.ended_by}). Give a smaller half-range (--vary)"
         )
     return min([_BOX_OVER_NARROWEST * min(limits, default=np.inf), *refused, _TRIED[-1]])
 
@@ -557,8 +559,8 @@ def _all_together(
             refusal = str(refused)
             if factor * _NARROWER < _SMALLEST_BOX:
                 raise SimulateError(
-                    f"not even fingers within {factor:.2g} times the given half-ranges of all numbers can be built: "
-                    f"{refusal}. Give smaller ones (--vary)"
+                    f"not even fingers within {factor:.2g} times the given half-ranges can be built ({refusal}). Give "
+                    "smaller half-ranges (--vary)"
                 ) from None
             factor *= _NARROWER
             continue
@@ -619,11 +621,11 @@ def _sentence(
 def _check(inputs: Sequence[ToleranceInput], settings: ToleranceSettings) -> None:
     """Refuse a study that tells nothing."""
     if not inputs:
-        raise SimulateError("nothing varies: give --vary FIELD=HALF_RANGE with a half-range above 0")
+        raise SimulateError("no number varies; give --vary FIELD=HALF_RANGE with a half-range above 0")
     if settings.runs < 4 * len(inputs):
         raise SimulateError(
-            f"--runs {settings.runs}: {len(inputs)} numbers need at least {4 * len(inputs)} runs; give more, or leave "
-            "numbers out (--vary FIELD=0)"
+            f"--runs {settings.runs}: {len(inputs)} numbers need at least {4 * len(inputs)} runs; give more runs, or "
+            "leave numbers out (--vary FIELD=0)"
         )
     if not settings.allowed_rel > 0.0:
         raise SimulateError(f"--allowed {settings.allowed_rel:g}: the allowed growth must be more than 0, such as 0.1")

@@ -360,13 +360,14 @@ def _material_of(block: Block, materials: Mapping[str, Material]) -> Material:
     """Return the material of a block."""
     if block.material not in materials:
         raise SimulateError(
-            f"block {block.name} has material {block.material}, which is not among {', '.join(sorted(materials))}"
+            f"block {block.name} has the material {block.material}, but the known materials are "
+            f"{', '.join(sorted(materials))}"
         )
     material = materials[block.material]
     if block.element == "mean_dilatation" and material.law == ST_VENANT_KIRCHHOFF:
         raise SimulateError(
-            f"block {block.name} asks for mean dilatation with the linear elastic material {block.material}; that "
-            "element is for Ogden and neo-Hookean materials: use incompatible_modes"
+            f"block {block.name} asks for mean dilatation, which is only for Ogden and neo-Hookean materials, but "
+            f"{block.material} is linear elastic; use incompatible_modes"
         )
     return material
 

@@ -157,7 +157,7 @@ class CollidingSurfaces:
         self.mesh.can_collide = ipctk.make_vertex_patches_filter(sides)
         if ipctk.has_intersections(self.mesh, np.asfortranarray(self.rest_mm)):
             raise SimulateError(
-                "the indenter starts inside the finger: it must be outside before the push; check indenter.file, "
+                "the indenter starts inside the finger, but must be outside before the push; check indenter.file, "
                 "position_mm, across_mm and rotation_deg"
             )
 

@@ -187,9 +187,9 @@ class CondensedFinger:
         size = 3 * len(self.coat)
         if condensed.compliance_mm_per_n.shape != (size, size) or condensed.shapes.shape[1] != self.mesh.nodes_mm.size:
             raise SimulateError(
-                "the condensation belongs to another mesh: its coat has "
-                f"{len(condensed.compliance_mm_per_n) // 3} nodes, but that of the design has "
-                f"{len(self.coat)}; condense this design again"
+                "the condensation belongs to another mesh, because its coat has "
+                f"{len(condensed.compliance_mm_per_n) // 3} nodes and that of the design has {len(self.coat)}; "
+                "condense this design again"
             )
         self._quads = np.searchsorted(self.coat, self.mesh.surfaces["coat"])
         self._rest = self.mesh.nodes_mm[self.coat]
@@ -291,7 +291,8 @@ class _Balance:
             step = self._step(normal, touched.stiffness_n_per_mm, out_of_balance)
             touched = self._walk(step, out_of_balance, touched)
         raise SimulateError(
-            f"the contact found no equilibrium in {_MOST_ROUNDS} rounds; press by finite elements, or less deeply"
+            f"no equilibrium of the contact was found in {_MOST_ROUNDS} rounds; press by finite elements, or less "
+            "deeply"
         )
 
     def _widen(self, touched: TouchedPoints) -> None:

@@ -41,8 +41,8 @@ def contact_library_failure() -> str | None:
     """Return None where ipctk runs on this machine, else in words why not and what to do."""
     if not is_installed("ipctk"):
         return (
-            "ipctk is not installed: pip install 'finray-calib[sim]' installs it, except on Linux for ARM, "
-            "for which there is no wheel"
+            "ipctk is not installed; install it with pip install 'finray-calib[sim]' (on Linux for ARM there is no "
+            "wheel of ipctk)"
         )
     failure = proof_failure(_PROOF, {}, ["ipctk"], _TIME_S)
     if failure is None:

@@ -196,8 +196,8 @@ def _require_same_hexahedra(mesh: FingerMesh, other: FingerMesh) -> None:
         one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one) for one, two in pairs
     ):
         raise SimulateError(
-            "a small change of this number changes the mesh, and thereby the force: there is no derivative "
-            "for it; take the difference of two whole presses"
+            "this number has no derivative, because a small change of it changes the mesh and thereby the force; take "
+            "the difference of two whole presses"
         )
 
 
@@ -232,13 +232,13 @@ def press_derivatives(
     settings = settings or PressSettings()
     if pressed.kind != "penalty" or pressed.motion is not None or design.indenter.friction > 0.0:
         raise SimulateError(
-            "derivatives need a press with penalty contact along the pad's normal, without friction, because with "
+            "derivatives need a press along the pad's normal with penalty contact and without friction, because with "
             "friction or a path the force depends on earlier increments; take differences of whole presses"
         )
     if pressed.parts_touch_from_mm is not None:
         raise SimulateError(
-            "derivatives leave out contact between parts of the finger, and parts touched in this press; press less "
-            "deeply, or take differences of whole presses"
+            "derivatives do not include contact between parts of the finger, but parts touched in this press; press "
+            "less deeply, or take differences of whole presses"
         )
     base = _Base(design, pressed.mesh, settings, folder)
     sides: dict[str, tuple[_Side, _Side]] = {}

@@ -144,6 +144,6 @@ def _contact_pressure(wanted: Floats, sunk: Callable[[Floats], Floats], thicknes
         pressure[enters] -= step * gap[enters]
         goes_on = 0.0 if enters.any() else 1.0
     raise SimulateError(
-        f"the contact of the indenter with the gel was not found in {_MOST_STEPS} steps; check whether "
-        f"its surface has points that are finer than {step_mm:.2g} mm"
+        f"the contact of the indenter with the gel was not found in {_MOST_STEPS} steps; check whether the indenter "
+        f"has points that are finer than {step_mm:.2g} mm"
     )

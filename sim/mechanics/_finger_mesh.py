@@ -66,9 +66,9 @@ class TiedNodes:
         if distance[worst] > _REACH * diagonal[worst]:
             x, y, z = nodes_mm[slaves[worst]]
             raise SimulateError(
-                f"node {slaves[worst]} at ({x:.3f}, {y:.3f}, {z:.3f}) mm cannot be tied: it lies "
-                f"{distance[worst]:.3g} mm off the master faces, and at most {_REACH * diagonal[worst]:.3g} "
-                "mm are allowed; change the design so that the parts touch"
+                f"node {slaves[worst]} at ({x:.3f}, {y:.3f}, {z:.3f}) mm cannot be tied, because it lies "
+                f"{distance[worst]:.3g} mm off the master faces and at most {_REACH * diagonal[worst]:.3g} mm are "
+                "allowed; change the design so that the parts touch"
             )
         self._nodes = np.column_stack([slaves, quads[face]])
         self._weights = np.column_stack([np.ones(len(slaves)), -weights])

@@ -119,13 +119,13 @@ class GraspTask:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.force_n < np.inf:
-            raise SimulateError(f"the fingers must close with a force above 0 N, not {self.force_n:g} N")
+            raise SimulateError(f"the fingers must close with a finite force above 0 N, got {self.force_n:g} N")
         if min(self.closing_increments, self.lifting_increments) < 1:
             raise SimulateError("a grasp needs at least 1 increment to close and 1 to lift")
         if self.down not in DOWN:
-            raise SimulateError(f"down = {self.down!r}: give one of {', '.join(DOWN)}")
+            raise SimulateError(f"down must be one of {', '.join(DOWN)}, got {self.down!r}")
         if not 0.0 <= self.mass_kg < np.inf:
-            raise SimulateError(f"the object's mass must be 0 kg or more, not {self.mass_kg:g} kg")
+            raise SimulateError(f"the object's mass must be finite and 0 kg or more, got {self.mass_kg:g} kg")
 
     @property
     def weight_n(self) -> float:
@@ -203,7 +203,7 @@ class _GrippingFinger:
             if not stuck.reason:  # the time is up
                 raise
             raise NoEquilibriumError(
-                f"no equilibrium of a finger was found: {stuck.reason}; close with less force"
+                f"no equilibrium of a finger was found ({stuck.reason}); close with less force"
             ) from stuck
         return self._on_object(self._found.state.u_mm)
 
@@ -216,7 +216,7 @@ class _GrippingFinger:
         The limits of friction stay as they are.
         """
         if self._found is None:
-            raise SimulateError("a finger has a stiffness at an equilibrium only")
+            raise SimulateError("a finger has a stiffness only at an equilibrium, but none was found")
         state, contact = self._found.state, self.touch.sliding
         # forces nearly cancel in the answer: on an edge the whole second derivative counts
         contact.curvature = True
@@ -252,7 +252,7 @@ class _GrippingFinger:
     def keep(self, pose: FloatArray) -> None:
         """Keep the last equilibrium, found at a pose, as an increment."""
         if self._found is None:
-            raise SimulateError("only an equilibrium can be kept")
+            raise SimulateError("only an equilibrium can be kept, but none was found")
         self._kept = self._found.state
         self.touch.keep(pose[:3], pose[3:], self._kept)
         self._history.add(-float(pose[1]), self._found)
@@ -374,9 +374,9 @@ class _Gripper:
             before = left
             place, step = place.moved(self.step(stiffness, left, closes))
         raise NoEquilibriumError(
-            f"the object reaches no equilibrium in {len(sizes)} steps: the largest residual force is {min(sizes):.2g} "
-            f"N (a torque counts divided by {self._arm_mm:g} mm), and {allowed:.2g} N are allowed; give more friction "
-            "or closing force, or less mass"
+            f"the object reaches no equilibrium in {len(sizes)} steps, because the largest residual force is "
+            f"{min(sizes):.2g} N and at most {allowed:.2g} N are allowed (a torque counts divided by {self._arm_mm:g} "
+            "mm); give more friction or closing force, or less mass"
         )
 
     def least_resistance_n_per_mm(self, balance: _Balance) -> float:
@@ -539,8 +539,8 @@ def grasp_object(
         )
     if task.mass_kg > 0.0 and task.down != "near" and design.indenter.friction == 0.0:
         raise SimulateError(
-            "indenter.friction = 0: only friction can hold a weight that pulls along or across the fingers; set "
-            "indenter.friction, the coefficient between object and coat, or leave --mass out"
+            "indenter.friction = 0 cannot hold a weight that pulls along or across the fingers; set indenter.friction, "
+            "the coefficient between object and coat, or leave --mass out"
         )
     settings = settings or PressSettings()
     steps = task.steps
@@ -587,7 +587,7 @@ def contact_forces_n(pressed: PressedFinger) -> tuple[FloatArray, FloatArray]:
     touching = pushes > 0.0
     whole = float(pushes.sum())
     if whole <= 0.0:
-        raise SimulateError("the coat touches nothing: without pressure there is no torque to compute; press deeper")
+        raise SimulateError("no torque can be computed, because nothing presses on the coat; press deeper")
     return pressed.touch_mm[touching], pushes[touching] * float(np.linalg.norm(pressed.force_n[-1])) / whole
 
 
@@ -614,7 +614,7 @@ def slip_torque_n_mm(places_mm: FloatArray, forces_n: FloatArray, friction: floa
         When the coefficient is negative.
     """
     if not 0.0 <= friction < np.inf:
-        raise SimulateError(f"friction = {friction:g}: Coulomb's coefficient must be finite and not negative")
+        raise SimulateError(f"friction must be a finite coefficient of 0 or more (Coulomb), got {friction:g}")
     flat = places_mm[:, [0, 2]]
 
     def torque(centre: FloatArray) -> float:

@@ -95,8 +95,8 @@ class Watch:
         if left_s is not None and left_s < last_s:
             raise NoEquilibriumError(
                 f"the budget of {self._budget_s:g} s of processor time is spent ({now - self._begin_s:.1f} s; the last "
-                f"iteration took {last_s:.1f} s). The increments before are kept; allow more time, or continue from "
-                f"them"
+                f"iteration took {last_s:.1f} s). The earlier increments are kept; allow more time, or continue from "
+                "them"
             )
 
 
@@ -316,8 +316,8 @@ def load_increments(
                 part /= 2.0
                 if part < shortest_share:
                     stuck = NoEquilibriumError(
-                        f"no equilibrium beyond {at:.4g} of the load: {reached.failure}. The increments up to there "
-                        "are kept; try a finer mesh, smaller increments, or a smaller load"
+                        f"no equilibrium was found beyond {at:.4g} of the load: {reached.failure}. The increments up "
+                        "to there are kept; try a finer mesh, smaller increments, or a smaller load"
                     )
                     stuck.reason = reached.failure
                     raise stuck
@@ -370,8 +370,8 @@ class Interpolation:
         missing = set(target.hexahedra) ^ set(source.hexahedra)
         if missing:
             raise SimulateError(
-                f"a press can start only from a mesh of the same finger; {', '.join(sorted(missing))} is a part of "
-                "one of the two meshes only"
+                f"a press can start only from a mesh of the same finger, but {', '.join(sorted(missing))} is a part of "
+                "only one of the two meshes"
             )
         count = len(target.nodes_mm)
         self._cells, self._weights = np.zeros((count, 8), np.int64), np.zeros((count, 8))
@@ -385,8 +385,8 @@ class Interpolation:
             if outside[worst] > _OUTSIDE:
                 x, y, z = target.nodes_mm[nodes[worst]]
                 raise SimulateError(
-                    f"a press can start only from a mesh of the same finger; the point ({x:.2f}, {y:.2f}, {z:.2f}) mm "
-                    f"of its part {name} lies outside the other mesh"
+                    f"a press can start only from a mesh of the same finger, but the point ({x:.2f}, {y:.2f}, {z:.2f}) "
+                    f"mm of its part {name} lies outside the other mesh"
                 )
             self._cells[nodes], self._weights[nodes] = cells, weights
 

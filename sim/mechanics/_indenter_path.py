@@ -64,12 +64,12 @@ class IndenterPath:
         count = len(self.increments)
         if not count or self.moves_mm.shape != (count, 3) or self.turns_deg.shape != (count, 3):
             raise SimulateError(
-                "a path needs at least one pose, with a move (3) and a turn (3) and increments for each"
+                "a path needs at least one pose, and for each pose three moves, three turns and a number of increments"
             )
         if (self.increments < 1).any() or self.increments.sum() > MOST_INCREMENTS:
             raise SimulateError(
-                f"the path has {int(self.increments.sum())} increments: at least 1 for each pose and at most "
-                f"{MOST_INCREMENTS} in all are allowed"
+                f"the path has {int(self.increments.sum())} increments, but must have at least 1 for each pose and at "
+                f"most {MOST_INCREMENTS} in all"
             )
 
     @classmethod
@@ -144,9 +144,9 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     if unknown:
         raise SimulateError(f"{path}: the column {unknown[0][:60]!r} is unknown; {allowed}")
     if not set(header) & set(known[:-1]):
-        raise SimulateError(f"{path}: has no column that moves or turns the indenter; {allowed}")
+        raise SimulateError(f"{path}: no column moves or turns the indenter; {allowed}")
     if not rows:
-        raise SimulateError(f"{path}: has no pose; write one row for each pose of the indenter below the header")
+        raise SimulateError(f"{path}: contains no pose; write one row for each pose of the indenter below the header")
     poses = []
     for line, cells in rows:
         if len(cells) < len(header):
@@ -261,7 +261,7 @@ def press_along(
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
-        raise SimulateError("--contact barrier cannot turn an indenter, as [[indenter.path]] may; leave --contact out")
+        raise SimulateError("--contact barrier is not supported with [[indenter.path]]; leave --contact out")
     watch = Watch(progress, path.total, settings.budget_s)
     touch = MovedIndenter(design, settings, folder)
     ties = finger_ties(design, touch.mesh, STEPS[settings.preset or design.mesh.preset].skeleton_mm)

@@ -94,9 +94,9 @@ class RigidIndenter:
         """
         if self.surface_off_mm > _MOST_OFF_MM:
             raise SimulateError(
-                f"indenter.shape: triangles of this body miss it by {self.surface_off_mm:.2g} mm, because it has sharp "
-                f"edges, and at most {_MOST_OFF_MM:g} mm is allowed where triangles are needed; press by finite "
-                "elements with --contact penalty, which takes exact distances, or round its edges"
+                f"indenter.shape: the triangles of this body are off by {self.surface_off_mm:.2g} mm, because it has "
+                f"sharp edges, but at most {_MOST_OFF_MM:g} mm is allowed where triangles are needed; press by finite "
+                "elements with --contact penalty, which takes exact distances, or round the edges"
             )
 
     def exact_body(self) -> Body:
@@ -198,7 +198,9 @@ class PackagedBody:
     def __init__(self, plug_in: PlugIn, body: ShapeBody) -> None:
         self._plug_in, self._body = plug_in, body
         if not callable(getattr(body, "distances", None)):
-            raise plug_in.refusal(f"returns a {type(body).__name__} as its body, which lacks distances(points_mm)")
+            raise plug_in.refusal(
+                f"returns a {type(body).__name__} as its body, but a body must have distances(points_mm)"
+            )
         rays = np.random.default_rng(0).standard_normal((_CHECKED_RAYS, 3))
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         self._check(rays)
@@ -214,7 +216,9 @@ class PackagedBody:
     def _given(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         given: Any = self._plug_in.call(lambda: self._body.distances(points_mm), "indenter: ")
         if not isinstance(given, tuple) or len(given) != 2:
-            raise self._plug_in.refusal("does not return a tuple of distance and gradient from distances", "indenter: ")
+            raise self._plug_in.refusal(
+                "must return a tuple of distance and gradient from distances, but does not", "indenter: "
+            )
         count = len(points_mm)
         distance = numbers_of(self._plug_in, "distances", given[0], (count,), "indenter: ")
         return distance, numbers_of(self._plug_in, "gradients", given[1], (count, 3), "indenter: ")
@@ -244,22 +248,22 @@ class PackagedBody:
         ends = self._given(np.concatenate([1e-3 * rays[:1], _SIZES_MM[1] * rays]))[0]
         if ends[0] >= 0.0 or ends[1:].min() <= 0.0:
             raise self._plug_in.refusal(
-                f"is not a closed body around its origin within {_SIZES_MM[1]:g} mm: its signed distance must be "
-                f"below 0 at the origin (it is {ends[0]:.3g} mm) and above 0 at {_SIZES_MM[1]:g} mm from it in every "
+                f"is not a closed body around its origin within {_SIZES_MM[1]:g} mm: the signed distance must be below "
+                f"0 at the origin (got {ends[0]:.3g} mm) and above 0 at {_SIZES_MM[1]:g} mm from the origin in every "
                 f"direction (the smallest is {ends[1:].min():.3g} mm)"
             )
         radii = self._radii_mm(rays)
         size = float(radii.max())
         if size < _SIZES_MM[0]:
-            raise self._plug_in.refusal(f"is a body of {size:.3g} mm; it must be {_SIZES_MM[0]:g} mm at least")
+            raise self._plug_in.refusal(f"is a body of {size:.3g} mm, but must measure at least {_SIZES_MM[0]:g} mm")
         share = np.linspace(0.0, 1.05 * size, _ALONG_RAY + 1)[1:]
         beyond = share[None, :] > radii[:, None] + 1e-6
         away = np.abs(share[None, :] - radii[:, None]) > 1e-3
         outside = self._given((share[None, :, None] * rays[:, None, :]).reshape(-1, 3))[0].reshape(beyond.shape) > 0.0
         if twice := int(((outside != beyond) & away).any(axis=1).sum()):
             raise self._plug_in.refusal(
-                f"is not fully visible from its origin: {twice} of {len(rays)} rays leave the body more than once; "
-                'move its origin, or press its STL as indenter.shape = "mesh"'
+                f"is not fully visible from its origin, because {twice} of {len(rays)} rays leave the body more than "
+                'once; move its origin, or press its STL as indenter.shape = "mesh"'
             )
         self._check_gradient(rays, radii, size)
 
@@ -464,9 +468,9 @@ def _misses(design: FingerDesign) -> str:
     wanted = design.indenter
     return (
         f"the indenter ({wanted.shape}, across_mm = {wanted.across_mm:g} mm, position_mm = {wanted.position_mm:g} mm, "
-        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not touch the pad when it moves along the pad's "
-        f"normal; a cylinder is endless and must not stand upright, and a mesh must lie over the pad, counted from "
-        f"its origin"
+        f"rotation_deg = {list(wanted.rotation_deg)} deg) does not touch the pad when it moves along the pad's normal; "
+        "move or turn the indenter (a cylinder is endless and must not stand upright, and a mesh must lie over the "
+        "pad, counted from its origin)"
     )
 
 
@@ -556,5 +560,5 @@ def _check_close(off_mm: float, places: int) -> None:
     if off_mm > _ENOUGH_MM:
         raise SimulateError(
             f"the indenter's mesh is nearly parallel to the pad in {places} places, so its first touch is known only "
-            f"to {off_mm:.2g} mm, and {_ENOUGH_MM:g} mm is needed; give an STL of fewer triangles"
+            f"to {off_mm:.2g} mm, but must be known to {_ENOUGH_MM:g} mm; give an STL of fewer triangles"
         )

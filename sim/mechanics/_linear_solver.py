@@ -254,8 +254,8 @@ def linear_solver(name: SolverName = "auto", threads: int = 1) -> SymmetricSolve
         if name == "auto":
             return SuperLU()
         raise MissingExtraError(
-            f"the solver pardiso needs pypardiso ({missing}); it is installed with finray-calib on x86-64 "
-            "Linux and Windows; elsewhere choose superlu"
+            f"the solver pardiso needs pypardiso ({missing}), which is installed with finray-calib only on x86-64 "
+            "Linux and Windows; choose superlu elsewhere"
         ) from missing
 
 

@@ -181,7 +181,7 @@ class LoadedFinger:
         """
         whole = np.array(force_n, dtype=np.float64)
         if not np.isfinite(whole).all() or not whole.any():
-            raise SimulateError(f"force_n = {list(force_n)} N: a push needs a finite force other than zero")
+            raise SimulateError(f"force_n must be finite and not zero for a push, got {list(force_n)} N")
         nodes = self.nodes_at(place, float(whole[0]))
         force = DeadForce(nodes)
 
@@ -212,7 +212,7 @@ class LoadedFinger:
         """
         if not 0.0 < abs(angle_deg) <= 90.0:
             raise SimulateError(
-                f"angle_deg = {angle_deg:g} deg: a twist needs an angle of up to 90 deg other than zero"
+                f"angle_deg must be at most 90 deg to either side and not zero for a twist, got {angle_deg:g} deg"
             )
         end = self.mesh.node_sets["tip_end"]
         middle = (self.mesh.nodes_mm[end].min(axis=0) + self.mesh.nodes_mm[end].max(axis=0)) / 2.0
@@ -359,10 +359,10 @@ def check_force(design: FingerDesign, force_n: float) -> None:
         See :func:`press_to_force`.
     """
     if not 0.0 < force_n < np.inf:
-        raise SimulateError(f"force_n = {force_n:g} N: a press needs a finite force above 0 N")
+        raise SimulateError(f"force_n must be finite and above 0 N for a press, got {force_n:g} N")
     if design.indenter.shape == "mesh" or design.indenter.friction > 0.0:
         raise SimulateError(
-            "with --force, the indenter must be a cylinder, ball or cuboid without friction: set indenter.shape and "
+            "with --force, the indenter must be a cylinder, ball or cuboid without friction; set indenter.shape and "
             "indenter.friction = 0, or press to a depth (leave --force out)"
         )
 
@@ -411,9 +411,9 @@ class _DrivenIndenter(PenaltyTouch):
             raise NoEquilibriumError(f"no equilibrium at a push of {_TOUCH_MM:g} mm: {why}")
         if not self.force_n(touched.state.u_mm)[1] > 0.0:
             raise NoEquilibriumError(
-                f"with --force a press begins at a push of {_TOUCH_MM:g} mm, and there the indenter touches no node "
-                f"of the coat, whose elements are {self._step_mm:g} mm wide: take a finer [mesh] preset, or press to a "
-                "depth with --contact barrier"
+                f"the indenter touches no node of the coat at a push of {_TOUCH_MM:g} mm, where a press with --force "
+                f"begins, because the coat's elements are {self._step_mm:g} mm wide; take a finer [mesh] preset, or "
+                "press to a depth with --contact barrier"
             )
         return touched
 
@@ -455,7 +455,8 @@ class GelBlock:
             value = getattr(self, name)
             if not _EDGES_MM[0] <= value <= _EDGES_MM[1]:
                 raise SimulateError(
-                    f"{name} = {value:g} mm: an edge of a block must be from {_EDGES_MM[0]:g} to {_EDGES_MM[1]:g} mm"
+                    f"{name} must be from {_EDGES_MM[0]:g} to {_EDGES_MM[1]:g} mm for an edge of a block, got "
+                    f"{value:g} mm"
                 )
 
 
@@ -513,8 +514,8 @@ def compress_block(
     deepest = _DEEPEST_SHARES[block.plates] * block.height_mm
     if not (pushes[0] > 0.0 and (np.diff(pushes) > 0.0).all() and pushes[-1] <= deepest):
         raise SimulateError(
-            f"a push of {pushes.max():.3g} mm: a {block.plates} block {block.height_mm:g} mm high can be compressed by "
-            f"more than 0 and at most {deepest:g} mm; leave out the points beyond"
+            f"pushes of a {block.plates} block {block.height_mm:g} mm high must increase, be above 0 and at most "
+            f"{deepest:g} mm, got up to {pushes.max():.3g} mm; leave out the points beyond"
         )
     mesh, fixed, push = _eighth(block, cells)
     elasticity = Elasticity(mesh, {"gel": material}, threads)

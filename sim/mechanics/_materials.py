@@ -56,14 +56,15 @@ class Ogden:
         values = (*self.mu_mpa, *self.alpha, self.bulk_over_shear)
         if not self.mu_mpa or len(self.mu_mpa) != len(self.alpha) or not all(math.isfinite(v) for v in values):
             raise SimulateError(
-                f"an Ogden material needs as many finite alpha as mu_mpa, got {self.mu_mpa} and {self.alpha}"
+                "an Ogden material needs as many finite alpha as mu_mpa and at least one of each, got mu_mpa = "
+                f"{self.mu_mpa} and alpha = {self.alpha}"
             )
         if 0.0 in self.alpha:
-            raise SimulateError("an Ogden material's alpha must not be 0; leave such a term out")
+            raise SimulateError("an Ogden material's alpha must not be 0; leave out terms with alpha = 0")
         if self.shear_modulus_mpa <= 0.0:
             raise SimulateError(
-                f"the Ogden constants give an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be "
-                "positive; if they have the form mu/alpha, convert them with ogden_from_printed_form"
+                f"the initial shear modulus by the Ogden constants must be positive, got {self.shear_modulus_mpa:.4g} "
+                "MPa; if the constants have the form mu/alpha, convert them with ogden_from_printed_form"
             )
         if not 2.0 / 3.0 < self.bulk_over_shear <= 1e5:
             raise SimulateError(
@@ -123,9 +124,9 @@ class LinearElastic:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.youngs_modulus_mpa) and self.youngs_modulus_mpa > 0.0):
-            raise SimulateError(f"a Young's modulus must be above 0 MPa, got {self.youngs_modulus_mpa}")
+            raise SimulateError(f"a Young's modulus must be finite and above 0 MPa, got {self.youngs_modulus_mpa}")
         if not -1.0 < self.poisson_ratio < 0.5:
-            raise SimulateError(f"a Poisson's ratio must lie between -1 and 0.5, got {self.poisson_ratio}")
+            raise SimulateError(f"a Poisson's ratio must be above -1 and below 0.5, got {self.poisson_ratio}")
 
     @property
     def shear_modulus_mpa(self) -> float:
@@ -211,8 +212,8 @@ class PackagedMaterial:
         self.shear_modulus_mpa = float(first[0, 0] + second[0, 0, 0] - second[0, 0, 1]) / 2.0
         if not self.shear_modulus_mpa > 0.0:
             raise SimulateError(
-                f"{self.name} has an initial shear modulus of {self.shear_modulus_mpa:.4g} MPa, which must be "
-                "positive: correct its parameters"
+                f"the initial shear modulus of {self.name} must be positive, got {self.shear_modulus_mpa:.4g} MPa; "
+                "correct the parameters"
             )
         self.bulk_modulus_mpa = bulk_over_shear * self.shear_modulus_mpa
         self.parameters = np.array([self.bulk_modulus_mpa])
@@ -235,7 +236,7 @@ class PackagedMaterial:
         given: Any = self._plug_in.call(lambda: self._energy(stretches, **self._given))
         if not isinstance(given, tuple) or len(given) != 3:
             raise self._plug_in.refusal(
-                "does not return a tuple of energy, gradient and second derivative from energy_mpa"
+                "must return a tuple of energy, gradient and second derivative from energy_mpa, but does not"
             )
         n = len(stretches)
         names = (("the energy", (n,)), ("its gradient", (n, 3)), ("its second derivative", (n, 3, 3)))
@@ -398,7 +399,6 @@ def check_stability(material: "Ogden | PackagedMaterial", stretches: tuple[float
             else:
                 known, convention = material.name, ""
             raise SimulateError(
-                f"the {known} is unstable (Drucker) under "
-                f"{name} load at a stretch of {at:.3g}; it must be stable from {stretches[0]:g} to {stretches[1]:g}. "
-                f"Check the signs of the constants{convention}"
+                f"the {known} is unstable (Drucker) under {name} load at a stretch of {at:.3g}, but must be stable "
+                f"from {stretches[0]:g} to {stretches[1]:g}. Check the signs of the constants{convention}"
             )

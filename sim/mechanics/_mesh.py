@@ -61,7 +61,7 @@ class FingerMesh:
         numbered += [("a tie", part) for tie in self.ties for part in (tie.slave_nodes, tie.master_quads)]
         for what, nodes in numbered:
             if not nodes.size or nodes.min() < 0 or nodes.max() >= count:
-                raise SimulateError(f"{what} of the mesh must name some of the nodes 0 to {count - 1}, and only these")
+                raise SimulateError(f"{what} of the mesh must name only nodes from 0 to {count - 1}, and at least one")
         for block in self.blocks:
             check_unfolded(self.nodes_mm, block.hexahedra, block.name)
 
@@ -91,7 +91,7 @@ def check_unfolded(nodes_mm: NDArray[np.float64], hexahedra: NDArray[np.int64], 
         x, y, z = nodes_mm[hexahedra[worst]]
         raise SimulateError(
             f"{int((jacobians.min(axis=1) <= 0.0).sum())} hexahedra of block {name} are inside out, the worst at "
-            f"({x:.2f}, {y:.2f}, {z:.2f}) mm; nodes must be in C3D8 order, and the parts must not pass through each "
+            f"({x:.2f}, {y:.2f}, {z:.2f}) mm; give the nodes in C3D8 order, and parts that do not pass through each "
             "other"
         )
 
@@ -341,7 +341,7 @@ class OwnSurfaces:
         edge, triangle = found
         x, y, z = rest[triangle].mean(axis=0)
         return (
-            f"the finger passes through itself: its {self._part(edge[0])} through its {self._part(triangle[0])}, near "
+            f"the finger passes through itself (its {self._part(edge[0])} through its {self._part(triangle[0])}) near "
             f"({x:.1f}, {y:.1f}, {z:.1f}) mm of the undeformed finger"
         )
 

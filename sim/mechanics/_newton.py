@@ -265,13 +265,16 @@ class _Search:
             return f"no equilibrium after {self.solved} iterations"
         last = self.shares[-self.options.stalled_after :] if self.options.stalled_after else []
         if last and len(last) == self.options.stalled_after and sum(last) < 1.0:
-            return f"the last {len(last)} of {self.solved} steps were short, together {sum(last):.2g} of one full step"
+            return f"the last {len(last)} of {self.solved} steps add up to only {sum(last):.2g} of one full step"
         # where negative curvature is taken away, a search leaves a saddle, and residuals rise before they fall
         counted = [r for r, removed in zip(self.residuals, self.removals, strict=True) if removed == 0.0]
         before, lately = counted[:-_WANDERS_AFTER], counted[-_WANDERS_AFTER:]
         near = max(_NEARER * min(before, default=math.inf), _FAR * self.residuals[0])
         if self.options.stalled_after and len(before) >= _WANDERS_AFTER - 1 and min(lately) > near:
-            return f"after {self.solved} iterations {min(lately):.2g} N out of balance, no closer than before"
+            return (
+                f"the forces are {min(lately):.2g} N out of balance after {self.solved} iterations, no closer than "
+                "before"
+            )
         return ""
 
     def _tell(self) -> None:

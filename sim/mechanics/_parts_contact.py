@@ -41,8 +41,8 @@ def check_parts_contact(had_mm: float | None, asked: str, may_act: bool) -> None
         return
     why = contact_library_failure() or f"--contact {asked} leaves this contact out"
     raise SimulateError(
-        f"the press to continue has contact between the parts of the finger from a push of {had_mm:.4g} mm on, and "
-        f"{why}; continue it with --contact auto, or press from the start"
+        f"the press to continue has contact between the parts of the finger from a push of {had_mm:.4g} mm on, but "
+        f"{why}; continue with --contact auto, or press again from the beginning"
     )
 
 
@@ -98,8 +98,8 @@ class PartsContact:
         )
         if found := self.surfaces.crossing(self._clean_mm):
             raise SimulateError(
-                f"at the increment to continue from (a push of {pushed_mm:.4g} mm), {found}. This is not physical: "
-                "continue from an earlier increment, or with --contact penalty, or press from the start"
+                f"at the increment to continue from (a push of {pushed_mm:.4g} mm), {found}. This is not physical, so "
+                "continue from an earlier increment or with --contact penalty, or press again from the beginning"
             )
 
     def _of_parts(self) -> "BarrierContact":

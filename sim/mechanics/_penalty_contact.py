@@ -272,8 +272,8 @@ class PenaltyTouch:
         if sunk <= MOST_SUNK_SHARE * side:
             return ""
         return (
-            f"; a node of the coat lies {sunk:.2f} mm inside the indenter ({MOST_SUNK_SHARE * side:.2f} mm is "
-            f"allowed): the indenter's edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
+            f"; a node of the coat lies {sunk:.2f} mm inside the indenter (at most {MOST_SUNK_SHARE * side:.2f} mm is "
+            f"allowed), because the indenter's edges are too sharp for elements of {side:.1f} mm. Press on a finer mesh"
         )
 
     def force_n(self, u: FloatArray) -> FloatArray:
@@ -405,7 +405,7 @@ class SlidingContact(PenaltyContact):
     ) -> None:
         super().__init__(nodes_mm, faces, body, pose, stiffness_mpa_per_mm, curvature=False)
         if not 0.0 <= friction_ratio < np.inf:
-            raise SimulateError(f"friction = {friction_ratio:g}: Coulomb's coefficient must be finite and not negative")
+            raise SimulateError(f"friction must be a finite coefficient of 0 or more (Coulomb), got {friction_ratio:g}")
         self.friction_ratio = friction_ratio
         self._stick = _STICK_SHARE * stiffness_mpa_per_mm
         places, gaps, normals = self._in_body(np.zeros_like(nodes_mm))

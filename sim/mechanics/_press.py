@@ -146,7 +146,7 @@ def press_contact(
             indenter.vertices_mm(_LIFT_MM), indenter.surface.triangles
         ):
             raise SimulateError(
-                "the indenter starts inside the finger: it must be outside before the push; check indenter.file, "
+                "the indenter starts inside the finger, but must be outside before the push; check indenter.file, "
                 "position_mm, across_mm and rotation_deg"
             )
         stiffness = penalty_mpa_per_mm(design, step_mm)
@@ -457,7 +457,7 @@ def press_finger(
     check_no_path(design)
     depth = design.indenter.depth_mm
     if depth <= 0.0:
-        raise SimulateError(f"indenter.depth_mm = {depth:g} mm: a press needs a depth above 0 mm")
+        raise SimulateError(f"indenter.depth_mm must be above 0 mm for a press, got {depth:g} mm")
     settings = settings or PressSettings()
     if resume is not None and resume.kind == "barrier" and settings.contact == "auto":
         settings = replace(settings, contact="barrier")
@@ -495,7 +495,7 @@ def check_no_path(design: FingerDesign) -> None:
     """
     if design.indenter.path:
         raise SimulateError(
-            f"indenter.path: has {len(design.indenter.path)} poses, and this press goes along the pad's normal only; "
+            f"indenter.path: has {len(design.indenter.path)} poses, but this press goes only along the pad's normal; "
             "leave [[indenter.path]] out of the design, or press without --force, --sensitivities, --resume, --engine "
             "and --contact barrier"
         )
@@ -658,13 +658,13 @@ def resumed(press: PressedFinger, mesh: FingerMesh, depth_mm: float) -> tuple[fl
     """
     if not np.array_equal(press.mesh.nodes_mm, mesh.nodes_mm):
         raise SimulateError(
-            f"the press to continue has a mesh of {len(press.mesh.nodes_mm)} nodes that is not that of this press "
-            f"({len(mesh.nodes_mm)} nodes); resume with the same design, mesh and --contact, or press from the start"
+            f"the press to continue has another mesh ({len(press.mesh.nodes_mm)} nodes) than this press "
+            f"({len(mesh.nodes_mm)} nodes); resume with the same design, mesh and --contact, or begin a new press"
         )
     done = float(press.depth_mm[-1])
     if done >= (1.0 - _SAME_SHARE) * depth_mm:
         raise SimulateError(
-            f"the press to continue has already reached {done:g} mm and indenter.depth_mm is {depth_mm:g} mm; raise "
-            f"indenter.depth_mm, or resume from an earlier increment"
+            f"the press to continue has already reached {done:g} mm, but indenter.depth_mm is only {depth_mm:g} mm; "
+            "raise indenter.depth_mm, or resume from an earlier increment"
         )
     return done / depth_mm, State(press.displacement_mm[-1], press.modes_mm)

@@ -55,12 +55,12 @@ class MouldSizes:
     def __post_init__(self) -> None:
         if not (self.wall_mm > 0.0 and self.floor_mm > 0.0):
             raise SimulateError(
-                f"wall_mm = {self.wall_mm:g} and floor_mm = {self.floor_mm:g} of a mould must be positive"
+                f"wall_mm and floor_mm of a mould must be positive, got {self.wall_mm:g} and {self.floor_mm:g} mm"
             )
         if not 0.0 <= self.lining_mm <= 1.0:
             raise SimulateError(
-                f"lining_mm = {self.lining_mm:g} of a mould must be 0 to 1 mm: the thickness of the sheet that is laid "
-                "on the mould's floor"
+                "lining_mm of a mould (the thickness of the sheet on the mould's floor) must be from 0 to 1 mm, got "
+                f"{self.lining_mm:g} mm"
             )
 
 
@@ -112,8 +112,8 @@ def mould_solid(design: FingerDesign, sizes: MouldSizes) -> Solid:
     """
     if design.pad.package is not None:
         raise SimulateError(
-            f'pad.shape = "{design.pad.shape}" comes from {design.pad.package}, which finray cannot write '
-            "as STEP; write the mould as STL"
+            f'pad.shape = "{design.pad.shape}" comes from {design.pad.package} and cannot be written as STEP; write '
+            "the mould as STL"
         )
     pad = _lined(design.pad, sizes.lining_mm)
     half, middle, wall = pad.width_mm / 2.0, pad.length_mm / 2.0, sizes.wall_mm
@@ -139,7 +139,8 @@ def _lined(pad: GelPad, lining_mm: float) -> GelPad:
         return pad
     if pad.shape not in _BENT_TO:
         raise SimulateError(
-            f"lining_mm = {lining_mm:g}: a sheet cannot be bent to pad.shape = {pad.shape}; leave lining_mm out"
+            f"lining_mm = {lining_mm:g} mm is not supported, because a sheet cannot be bent to pad.shape = "
+            f"{pad.shape}; leave lining_mm out"
         )
     radius = None if pad.radius_mm is None else pad.radius_mm + lining_mm
     return pad.model_copy(update={"thickness_mm": pad.thickness_mm + lining_mm, "radius_mm": radius})
@@ -245,7 +246,7 @@ def _boundary(design: FingerDesign, part: Part) -> tuple[NDArray[np.float64], ND
     mesh = skeleton_mesh(design, _SKELETON_STEP_MM)
     names = _ONE_PIECE if part == "skeleton_and_base" else (part,)
     if not set(names) <= set(mesh.hexahedra):
-        raise SimulateError(f"the design '{design.name}' has no part {part}; it has {', '.join(mesh.hexahedra)}")
+        raise SimulateError(f"the design '{design.name}' has no part {part}; its parts are {', '.join(mesh.hexahedra)}")
     return mesh.nodes_mm, boundary_quads(np.concatenate([mesh.hexahedra[name] for name in names])).quads
 
 

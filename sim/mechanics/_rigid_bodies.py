@@ -41,7 +41,7 @@ def _check_positive(body: str, **sizes_mm: float) -> None:
 def _check_edge(body: str, edge_mm: float, limit_mm: float) -> None:
     if not 0.0 < edge_mm <= limit_mm:
         raise SimulateError(
-            f"{body}: edge_radius_mm must be above 0 and at most {limit_mm:g} mm, half its least size, got "
+            f"{body}: edge_radius_mm must be above 0 and at most {limit_mm:g} mm (half of the least size), got "
             f"{edge_mm:g} mm"
         )
 
@@ -428,19 +428,19 @@ def read_body(path: Path) -> TriangleMesh:
     """
     vertices, triangles = read_triangles(path, "the indenter's STL file (indenter.file)")
     if not len(triangles):
-        raise SimulateError(f"{path}: has no triangles; an indenter must be a closed body")
+        raise SimulateError(f"{path}: contains no triangles, but an indenter must be a closed body")
     mesh = _welded(vertices, triangles)
     check_closed_body(mesh, str(path))
     if not len(mesh.triangles):
-        raise SimulateError(f"{path}: none of its triangles has an area; an indenter must be a closed body")
+        raise SimulateError(f"{path}: none of the triangles has an area, but an indenter must be a closed body")
     corners = mesh.vertices_mm[mesh.triangles]
     volume = float(np.einsum("ki,ki->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
     if abs(volume) < _LEAST_VOLUME * float(np.ptp(mesh.vertices_mm, axis=0).max()) ** 3:
-        raise SimulateError(f"{path}: encloses no volume; an indenter must be a closed body")
+        raise SimulateError(f"{path}: the triangles enclose no volume, but an indenter must be a closed body")
     if volume < 0.0:
         raise SimulateError(
-            f"{path}: is inside out: its triangles face inward, so that it encloses {volume:.4g} mm3; let a modelling "
-            "program turn its normals outward and export it again"
+            f"{path}: the body is inside out, because its triangles face inward (enclosed volume {volume:.4g} mm3); "
+            "turn the normals outward in a modelling program and export it again"
         )
     return mesh
 
@@ -458,21 +458,21 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
     _, place, times = np.unique(keys, return_inverse=True, return_counts=True)
     if (times != 2).any():
         raise SimulateError(
-            f"{name}: is open: {int((times == 1).sum())} edges belong to one triangle only and "
-            f"{int((times > 2).sum())} to more than two; close it in a modelling program and export it again"
+            f"{name}: the body is not closed, because {int((times == 1).sum())} edges belong to only one triangle and "
+            f"{int((times > 2).sum())} to more than two; close the body in a modelling program and export it again"
         )
     runs = np.bincount(place, np.where(directed[:, 0] < directed[:, 1], 1, -1))
     if runs.any():
         raise SimulateError(
-            f"{name}: {int((runs != 0).sum())} edges have two triangles of opposite orientation: some triangles are "
-            f"inside out; let a modelling program orient them outward and export it again"
+            f"{name}: some triangles are inside out, because {int((runs != 0).sum())} edges have two triangles of "
+            "opposite orientation; orient all triangles outward in a modelling program and export the body again"
         )
     size = float(np.ptp(mesh.vertices_mm, axis=0).max())
     if not _LEAST_MM <= size <= _MOST_MM:
         meant = "metres" if size < _LEAST_MM else "micrometres"
         raise SimulateError(
-            f"{name}: the body measures {size:g}, which as mm is outside {_LEAST_MM:g} to {_MOST_MM:g} mm; it looks "
-            f"like a file in {meant}: export it in mm"
+            f"{name}: the body measures {size:g} mm, but must measure {_LEAST_MM:g} to {_MOST_MM:g} mm. The file seems "
+            f"to be in {meant}; export it in mm"
         )
 
 
@@ -492,7 +492,7 @@ def read_triangles(path: Path, what: str) -> tuple[FloatArray, IntArray]:
         corners = _text_stl(data, path)
     vertices = corners.reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise SimulateError(f"{path}: holds corners that are not numbers; export it again")
+        raise SimulateError(f"{path}: contains corners that are not finite numbers; export the body again")
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 

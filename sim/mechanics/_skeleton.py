@@ -106,13 +106,14 @@ def skeleton_layout(design: FingerDesign) -> SkeletonLayout:
     margin = min(half_width - pad.width_mm / 2.0, -base_line[0])
     if skeleton.flange_mm > margin:
         raise SimulateError(
-            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, whose narrowest margin "
-            f"beside and below the pad is {margin:.3g} mm; make flange_mm at most {np.floor(100.0 * margin) / 100.0:g}"
+            f"skeleton.flange_mm = {skeleton.flange_mm:g} mm reaches beyond the front fin, because the narrowest "
+            f"margin beside and below the pad is {margin:.3g} mm; make flange_mm at most "
+            f"{np.floor(100.0 * margin) / 100.0:g} mm"
         )
     if half_width - skeleton.rib_width_mm < rib_inner - 1e-9:
         raise SimulateError(
-            f"skeleton.width_mm = {2.0 * half_width:g} mm is too narrow: ribs of rib_width_mm = "
-            f"{skeleton.rib_width_mm:g} mm would stand in front of the mirror; it must be at least "
+            f"skeleton.width_mm = {2.0 * half_width:g} mm is too narrow, because ribs of rib_width_mm = "
+            f"{skeleton.rib_width_mm:g} mm would stand in front of the mirror; make width_mm at least "
             f"{2.0 * (rib_inner + skeleton.rib_width_mm):g} mm (or leave it out), or the ribs narrower"
         )
     return SkeletonLayout(
@@ -169,8 +170,8 @@ def _tip_line(design: FingerDesign, mirror: MirrorShape, inner_mm: float) -> tup
     depth = inner_mm - float(back_curve_mm(mirror, s, behind)[0])
     if depth < _SMALLEST_GAP_MM:
         raise SimulateError(
-            f"the fins are {depth:.2g} mm apart at the tip ({_SMALLEST_GAP_MM:g} mm needed): make "
-            f"skeleton.tip_starts_mm = {z:g} mm smaller, or skeleton.front_fin_thickness_mm"
+            f"the fins are only {depth:.2g} mm apart at the tip, but must be at least {_SMALLEST_GAP_MM:g} mm apart; "
+            f"reduce skeleton.tip_starts_mm = {z:g} mm or skeleton.front_fin_thickness_mm"
         )
     return z, s
 
@@ -202,8 +203,8 @@ def _ribs(
             ("the tip" if place == count else f"rib {place + 1}"),
         )
         raise SimulateError(
-            f"{below} and {above} of the skeleton overlap or nearly touch ({gaps.min():.2f} mm apart along a fin, at "
-            f"least {_SMALLEST_GAP_MM:g} mm needed): change skeleton.rib_count = {count}, rib_spacing_mm = "
+            f"{below} and {above} of the skeleton overlap or nearly touch ({gaps.min():.2f} mm apart along a fin, but "
+            f"at least {_SMALLEST_GAP_MM:g} mm is needed); change skeleton.rib_count = {count}, rib_spacing_mm = "
             f"{spacing:.3g} mm, rib_thickness_mm = {skeleton.rib_thickness_mm:g} mm or rib_angle_deg = "
             f"{skeleton.rib_angle_deg:g} deg"
         )

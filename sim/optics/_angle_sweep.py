@@ -92,8 +92,8 @@ def sweep_light_angle(
     angles = np.asarray(angles_deg, dtype=np.float64)
     if angles.ndim != 1 or angles.size == 0 or paths.repeats < 1 or paths.samples < 1:
         raise SimulateError(
-            f"a sweep needs a list of angles in deg, at least one repeat and at least one sample; got angles "
-            f"of shape {angles.shape}, {paths.repeats} repeats and {paths.samples} samples"
+            "a sweep needs a list of angles in deg, at least one repeat and at least one sample, got angles of shape "
+            f"{angles.shape}, {paths.repeats} repeats and {paths.samples} samples"
         )
     shape = shape or pressed_shape(design)
     probes = probes_on(

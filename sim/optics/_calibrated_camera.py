@@ -67,10 +67,10 @@ def calibration_fields(content: bytes, where: str) -> tuple[dict[str, Any], dict
         matrix_name, matrix = _first_matrix(where, storage, _MATRIX_NAMES)
         coefficients_name, coefficients = _first_matrix(where, storage, _DISTORTION_NAMES)
         if matrix.size != 9:
-            raise ImportFormatError(f"{where}: {matrix_name} must hold 3 x 3 numbers, got {matrix.size}")
+            raise ImportFormatError(f"{where}: {matrix_name} must contain 3 x 3 numbers, got {matrix.size} numbers")
         k = matrix.reshape(3, 3)
         if not (np.isfinite(matrix).all() and np.isfinite(coefficients).all()):
-            raise ImportFormatError(f"{where}: {matrix_name} and {coefficients_name} must be finite numbers")
+            raise ImportFormatError(f"{where}: {matrix_name} and {coefficients_name} must contain only finite numbers")
         if k[0, 1] != 0.0 or (k[1:, :2] != np.array([[0.0, k[1, 1]], [0.0, 0.0]])).any() or k[2, 2] != 1.0:
             raise ImportFormatError(f"{where}: {matrix_name} must be [fx 0 cx; 0 fy cy; 0 0 1], got {k.tolist()}")
         values: dict[str, Any] = {
@@ -95,7 +95,7 @@ def _open_storage(content: bytes, where: str) -> Any:
         return cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError, UnicodeDecodeError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
-        raise ImportFormatError(f"{where}: cannot be read as YAML or JSON of OpenCV ({reason})") from None
+        raise ImportFormatError(f"{where}: is not a readable YAML or JSON file of OpenCV ({reason})") from None
 
 
 def _first_matrix(where: str, storage: Any, names: tuple[str, ...]) -> tuple[str, Floats]:
@@ -138,7 +138,7 @@ def _model(where: str, storage: Any) -> str:
     name = named.string().lower() if named.isString() else ""
     if name not in _MODEL_NAMES or not name:
         known = ", ".join(filter(None, _MODEL_NAMES))
-        raise ImportFormatError(f"{where}: distortion_model is '{name}'; it must be one of {known}")
+        raise ImportFormatError(f"{where}: distortion_model must be one of {known}, got '{name}'")
     return _MODEL_NAMES[name]
 
 
@@ -201,8 +201,8 @@ def require_same_shape(calibration: CameraCalibration, width_px: int, height_px:
     expected = width_px * calibration.height_px / calibration.width_px
     if abs(expected - height_px) > 0.5:
         raise SimulateError(
-            f"{calibration.source} calibrates a picture of {calibration.width_px} x {calibration.height_px} "
-            f"px, but the design's camera has another shape ({width_px} x {height_px} in its rendering): set "
+            f"{calibration.source} calibrates a picture of {calibration.width_px} x {calibration.height_px} px, but "
+            f"the design's camera has another aspect ratio ({width_px} x {height_px} px in its rendering); set "
             "camera.width_px and camera.height_px to the calibrated size or a fraction of it"
         )
 
@@ -272,11 +272,9 @@ def _require_invertible(calibration: CameraCalibration, points: Floats, bad: NDA
     if bad.any():
         column, row = points[int(np.argmax(bad)), 0]
         raise SimulateError(
-            f"{calibration.source}: the {calibration.model} distortion cannot be inverted at {100 * bad.mean():.1f} "
-            f"% of the "
-            f"picture, for example at column {column:.0f}, row {row:.0f}: its polynomial is not monotonic there. "
-            f"Calibrate "
-            "with boards that reach the corners, or with fewer coefficients"
+            f"{calibration.source}: the {calibration.model} distortion cannot be inverted at {100 * bad.mean():.1f} % "
+            f"of the picture, for example at column {column:.0f}, row {row:.0f}, because its polynomial is not "
+            "monotonic there. Calibrate with boards that reach the corners, or with fewer coefficients"
         )
 
 

@@ -174,11 +174,14 @@ def fluorescent_bands(
     check_variant("rgb", "three bands")
     for name, matrix in matrices.items():
         if np.shape(matrix) != (3, 3) or not np.isfinite(matrix).all() or (matrix < 0.0).any():
-            raise SimulateError(f"paint {name}: the band matrix must be 3 x 3 numbers >= 0, got {matrix}")
+            raise SimulateError(
+                f"paint {name}: the band matrix must be 3 x 3 finite numbers of 0 or more, got {matrix}"
+            )
         gain = float(matrix.sum(axis=0).max())
         if gain > 1.0 + _ENERGY_TOLERANCE:
             raise SimulateError(
-                f"paint {name} returns {gain:.3f} times the energy of one band; a column may sum to at most 1"
+                f"paint {name} returns {gain:.3f} times the energy of one band, but a column of its matrix may sum to "
+                "at most 1"
             )
     paints = painted_bsdfs(scene, list(matrices))
     carrier = BandCarrier(list(matrices.values()) or [np.eye(3)])
@@ -200,8 +203,8 @@ def painted_bsdfs(scene: Any, names: Sequence[str]) -> list[Any]:
     missing = [name for name in names if name not in known]
     if missing:
         raise SimulateError(
-            f"no surface or BSDF of the scene has the id {', '.join(missing)}; the scene has "
-            f"{', '.join(sorted(known))} (equal BSDFs become one: give the paints different reflectances)"
+            f"no surface or BSDF of the scene has the id {', '.join(missing)}; valid ids are "
+            f"{', '.join(sorted(known))} (equal BSDFs become one, so give the paints different reflectances)"
         )
     return [known[name] for name in names]
 

@@ -286,14 +286,14 @@ def _check(renderer: ModuleType, with_respect_to: Sequence[Parameter], paths: Pr
     """Refuse what cannot be differentiated."""
     unknown = [name for name in with_respect_to if name not in PARAMETERS]
     if unknown:
-        raise SimulateError(f"with_respect_to: '{unknown[0]}' is not one of {', '.join(PARAMETERS)}")
+        raise SimulateError(f"with_respect_to: must be among {', '.join(PARAMETERS)}, got '{unknown[0]}'")
     if paths.repeats < 2 or paths.samples < 1:
         raise SimulateError(
             f"a gradient needs at least 2 repeats and 1 sample, got {paths.repeats} repeats and {paths.samples} samples"
         )
     if renderer.variant() == SCALAR_VARIANT:
         raise MissingExtraError(
-            f"gradients need a compiled variant of Mitsuba, not {SCALAR_VARIANT}; install LLVM 17 or newer"
+            f"gradients need a compiled variant of Mitsuba, but {SCALAR_VARIANT} is set; install LLVM 17 or newer"
         )
 
 

@@ -86,7 +86,7 @@ class Window:
         seen = np.logical_or.reduce([np.isfinite(p[..., 0]) for p in positions])
         if not seen.any():
             raise ImpossibleFingerError(
-                "the camera does not see the coated face: check camera.field_of_view_deg, the mirror and the panel's "
+                "the camera does not see the coated face; check camera.field_of_view_deg, the mirror and the panel's "
                 "position in the design"
             )
         ends = []

@@ -60,11 +60,13 @@ class PaintOptics:
                 f"long lists of at least 2 values, got shapes {sorted(map(str, shapes))}"
             )
         if self.absorption_rel is not None and (self.absorption_rel < 0.0).any():
-            raise SimulateError(f"paint {self.name}: absorption_rel must be >= 0")
+            raise SimulateError(f"paint {self.name}: absorption_rel must be 0 or more everywhere")
         if not all(np.isfinite(v).all() for v in values) or (np.diff(self.wavelength_nm) <= 0.0).any():
             raise SimulateError(f"paint {self.name}: all values must be finite and wavelength_nm must increase")
         if (self.emission_per_nm < 0.0).any() or (self.reflectance < 0.0).any() or (self.reflectance > 1.0).any():
-            raise SimulateError(f"paint {self.name}: emission_per_nm must be >= 0 and reflectance within 0..1")
+            raise SimulateError(
+                f"paint {self.name}: emission_per_nm must be 0 or more, and reflectance from 0 to 1, everywhere"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,15 +140,16 @@ def paint_bands(red: PaintOptics, green: PaintOptics, light: LightPanel) -> Pain
             if out > 1.0 + _ENERGY_TOLERANCE:
                 source = "LED" if name == "led" else f"{name} band"
                 raise ImpossibleFingerError(
-                    f"paint {paint.name} returns more energy than the {source} brings: reflectance plus emitted share "
-                    f"at {band.centroid_nm:.0f} nm make {out:.3f} and must not exceed 1; check the paint's calibration"
+                    f"paint {paint.name} returns more energy than the {source} brings, because reflectance plus "
+                    f"emitted share at {band.centroid_nm:.0f} nm make {out:.3f} and must not exceed 1; check the "
+                    "paint's calibration"
                 )
             photons = reflectance[key][BAND_NAMES.index(name)]
             photons += conversion[key][BAND_NAMES.index(name)] * emissions[key][0].centroid_nm / band.centroid_nm
             if photons > 1.0 + _PHOTON_TOLERANCE:
                 raise ImpossibleFingerError(
-                    f"paint {paint.name} returns {photons:.3f} photons for each one at {band.centroid_nm:.0f} nm; "
-                    "reflected and emitted photons must not exceed 1: check the paint's yield and reflectance"
+                    f"paint {paint.name} returns {photons:.3f} photons for each photon at {band.centroid_nm:.0f} nm, "
+                    "but reflected and emitted photons must not exceed 1; check the paint's yield and reflectance"
                 )
     return PaintBands(bands, reflectance, conversion, cut)
 
@@ -178,9 +181,9 @@ def band_mean(wavelength_nm: NDArray[np.float64], values: NDArray[np.float64], b
     outside = float(np.trapezoid(band.density_per_nm * beyond, band.wavelength_nm))
     if outside > _LARGEST_SHARE_OUTSIDE:
         raise SimulateError(
-            f"the {what} is known from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm, but {100 * outside:.0f} % "
-            f"of a band "
-            f"around {band.centroid_nm:.0f} nm lies outside (20 % allowed); give the curve over a wider range"
+            f"the {what} is known only from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm, so {100 * outside:.0f} % "
+            f"of a band around {band.centroid_nm:.0f} nm lies outside, but at most 20 % is allowed; give the curve "
+            "over a wider range"
         )
     curve = np.interp(band.wavelength_nm, wavelength_nm, values)
     return float(np.trapezoid(curve * band.density_per_nm, band.wavelength_nm))
@@ -214,7 +217,8 @@ def camera_matrix(
     """
     if response.shape != (3, wavelength_nm.size):
         raise SimulateError(
-            f"the camera response must have shape (3, {wavelength_nm.size}) like its wavelengths, got {response.shape}"
+            f"the camera response must have shape (3, {wavelength_nm.size}) to match its wavelengths, got "
+            f"{response.shape}"
         )
     return np.array(
         [
@@ -287,8 +291,8 @@ def chain_steps(chain: str) -> tuple[tuple[str, str], ...]:
     bands = chain.split(">")
     if bands[0] != "led" or not set(bands) <= set(BAND_NAMES) or "led" in bands[1:]:
         raise SimulateError(
-            f"'{chain}' is not a chain of fluorescence: it starts with 'led' and continues with 'red' and 'green', "
-            "joined by '>'"
+            f"'{chain}' is not a chain of fluorescence; a chain must start with 'led', and only 'red' and 'green' may "
+            "follow, joined by '>'"
         )
     return tuple(pairwise(bands))
 
@@ -316,8 +320,8 @@ def conversion_gains(before: Mapping[str, Floats], after: Mapping[str, Floats]) 
                 continue
             if old[k] == 0.0 and after[wall][k] > 0.0:
                 raise SimulateError(
-                    f"the {wall} paint now converts light of the {band} band, but did not when the images "
-                    "were rendered: render again"
+                    f"the {wall} paint now converts light of the {band} band, but did not when the images were "
+                    "rendered; render again"
                 )
             gains[band, wall] = float(after[wall][k] / old[k]) if old[k] else 0.0
     return gains
@@ -336,9 +340,9 @@ def require_same_reflectance(before: Mapping[str, Floats], after: Mapping[str, F
         if change.max() > LARGEST_REFLECTANCE_CHANGE:
             k = int(np.argmax(change))
             raise SimulateError(
-                f"the {wall} paint's reflectance in the {BAND_NAMES[k]} band went from {old[k]:.3f} to "
-                f"{after[wall][k]:.3f}; changes of more than {LARGEST_REFLECTANCE_CHANGE:g} need a new "
-                "render: render again"
+                f"the {wall} paint's reflectance in the {BAND_NAMES[k]} band changed from {old[k]:.3f} to "
+                f"{after[wall][k]:.3f}, but it may change by at most {LARGEST_REFLECTANCE_CHANGE:g} without a new "
+                "render; render again"
             )
 
 
@@ -353,8 +357,8 @@ def require_near_bands(before: Sequence[SpectralBand], after: Sequence[SpectralB
     for name, old, new in zip(BAND_NAMES, before, after, strict=True):
         if abs(new.centroid_nm - old.centroid_nm) > LARGEST_CENTROID_SHIFT_NM:
             raise SimulateError(
-                f"the {name} band's centroid went from {old.centroid_nm:.1f} to {new.centroid_nm:.1f} nm; "
-                f"shifts of more than {LARGEST_CENTROID_SHIFT_NM:g} nm need a new render: render again"
+                f"the {name} band's centroid moved from {old.centroid_nm:.1f} to {new.centroid_nm:.1f} nm, but it may "
+                f"move by at most {LARGEST_CENTROID_SHIFT_NM:g} nm without a new render; render again"
             )
 
 
@@ -384,9 +388,9 @@ def require_small_reemission(chains: Sequence[str], gains: Mapping[tuple[str, st
         if product > LARGEST_REEMISSION_GAIN * first:
             growth = f"{product / first:.1f} times" if first > 0.0 else "beyond all bounds"
             raise SimulateError(
-                f"the light of chain {chain}, which was too weak to be rendered, would grow {growth} relative "
-                f"to that of its band; growth of more than {LARGEST_REEMISSION_GAIN:g} times needs a new "
-                "render: render again"
+                f"the light of chain {chain}, which was too weak to be rendered, would grow {growth} relative to that "
+                f"of its band, but it may grow by at most {LARGEST_REEMISSION_GAIN:g} times without a new render; "
+                "render again"
             )
 
 
@@ -430,7 +434,10 @@ def mix_chains(images: NDArray[np.float32], matrix: Floats) -> NDArray[np.float3
         When the matrix does not have one column per image.
     """
     if matrix.ndim != 2 or images.shape[-1:] != matrix.shape[1:]:
-        raise SimulateError(f"a matrix of shape {matrix.shape} does not fit images of shape {images.shape}")
+        raise SimulateError(
+            f"a matrix of shape {matrix.shape} does not fit images of shape {images.shape}; it must have one column "
+            "per image"
+        )
     m, n = matrix.shape
     flat, weights = np.ascontiguousarray(images, dtype=np.float32).reshape(-1, n), matrix.T.astype(np.float32)
     mixed = np.empty((len(flat), m), dtype=np.float32)

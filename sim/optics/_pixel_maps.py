@@ -163,8 +163,8 @@ def require_same_coat(pressed: FingerShape, rest: FingerShape) -> None:
     after, before = pressed.surfaces["coat"].triangles, rest.surfaces["coat"].triangles
     if not np.array_equal(after, before):
         raise SimulateError(
-            f"the coat '{pressed.label}' has {len(after)} triangles and the coat '{rest.label}' {len(before)}, or "
-            "their order differs: give the same mesh, deformed and at rest"
+            f"the coat '{pressed.label}' has {len(after)} triangles but the coat '{rest.label}' has {len(before)}, or "
+            "their order differs; give the same mesh, deformed and at rest"
         )
 
 

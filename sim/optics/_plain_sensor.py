@@ -184,7 +184,7 @@ def plain_sensor_scene(
         When the pad has a film.
     """
     if sensor.pad.film is not None:
-        raise SimulateError("pad.film: plain sensors are rendered without a film on the inner face; leave it out")
+        raise SimulateError("pad.film: a film on the inner face is not supported in plain sensors; leave it out")
     gel = gel or analytic_gel(sensor, pressed)
     surfaces, index = gel.faces(), sensor.pad.refractive_index
     glass = {"type": "dielectric", "int_ior": index, "ext_ior": 1.0}
@@ -246,8 +246,8 @@ def _require_lambertian_lights(sensor: PlainSensor) -> None:
     """Check that Mitsuba's own integrator, which knows no beams, can render the lights."""
     if any(light.beam_exponent != 1.0 for light in sensor.lights):
         raise SimulateError(
-            f"lights.beam_exponent: {SCALAR_VARIANT} renders Lambertian lights only; install LLVM 17 or "
-            "newer, or set it to 1"
+            f"lights.beam_exponent: {SCALAR_VARIANT} supports only Lambertian lights (beam_exponent = 1); install LLVM "
+            "17 or newer, or set beam_exponent to 1"
         )
 
 
@@ -377,7 +377,7 @@ def seen_places_mm(
     on_coat = (triangle >= 0) & (mesh.owner[triangle] == mesh.names.index("coat"))
     if not on_coat.any():
         raise SimulateError(
-            "the camera does not see the coat: check camera.distance_mm, across_mm, along_mm, tilt_deg and pan_deg"
+            "the camera does not see the coat; check camera.distance_mm, across_mm, along_mm, tilt_deg and pan_deg"
         )
     places = np.full((len(triangle), 2), np.nan)
     places[on_coat] = mesh.at(mesh.corners, triangle[on_coat], barycentric[on_coat])[:, [0, 2]]

@@ -183,8 +183,8 @@ class PositionMap:
         gap = float(np.linalg.norm(cls(coefficients).positions_mm(middle_uv) - middle_mm, axis=-1).max())
         if gap > _LARGEST_GAP_MM:
             raise ImpossibleFingerError(
-                f"the {name} is not a smooth face: its mesh departs from the smooth map by {gap:.2g} mm "
-                f"({_LARGEST_GAP_MM} mm allowed); check its texture coordinates, or refine the mesh"
+                f"the {name} is not a smooth face, because its mesh departs from the smooth map by {gap:.2g} mm and at "
+                f"most {_LARGEST_GAP_MM} mm is allowed; check its texture coordinates, or refine the mesh"
             )
         return cls(coefficients, gap, turn)
 
@@ -289,7 +289,7 @@ def _turn(surface: Surface, name: str) -> float:
     turns = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     if (turns != turns[0]).any() or turns[0] == 0.0:
         raise ImpossibleFingerError(
-            f"the texture coordinates of the {name} fold: {int((turns <= 0.0).sum())} of {len(turns)} "
+            f"the texture coordinates of the {name} fold, because {int((turns <= 0.0).sum())} of {len(turns)} "
             "triangles turn the other way; every triangle must turn the same way in (u, v)"
         )
     return float(turns[0])

@@ -73,7 +73,9 @@ def probes_on(design: FingerDesign, shape: FingerShape, points_xz_mm: Floats) ->
     points = np.asarray(points_xz_mm, dtype=np.float64)
     pad = design.pad
     if points.ndim != 2 or points.shape[1] != 2:
-        raise SimulateError(f"probe_points_mm must hold (x, z) per probe, shape (probe, 2), got {points.shape}")
+        raise SimulateError(
+            f"probe_points_mm must contain (x, z) for each probe, shape (probe, 2), got shape {points.shape}"
+        )
     outside = (np.abs(points[:, 0]) >= pad.width_mm / 2.0) | (points[:, 1] <= 0.0) | (points[:, 1] >= pad.length_mm)
     if outside.any():
         x, z = points[outside][0]
@@ -228,9 +230,8 @@ def seen_points(
     chosen = np.unique(np.asarray(nearest)[np.asarray(distance_mm) < step_mm / 2.0])
     if 2 * len(chosen) < len(grid):
         raise ImpossibleFingerError(
-            f"the camera sees {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light "
-            f"angle; check camera.field_of_view_deg, the mirror and whether the panel at light.position_mm is in "
-            "the way"
+            f"the camera sees only {len(chosen)} of {len(grid)} points spread over the pad, too few to judge a light "
+            "angle; check camera.field_of_view_deg, the mirror and whether the panel at light.position_mm is in the way"
         )
     points, legs = maps.position_mm[on_coat][chosen], maps.last_leg[on_coat][chosen]
     # halfway back to the inner face of the undeformed pad: a start inside the gel

@@ -273,7 +273,8 @@ class RenderSettings:
                 )
         if self.shared_light and self.level == "c":
             raise SimulateError(
-                "level c follows fluorescence along each path and cannot share light between pixels; use level b"
+                "level c cannot share light between pixels, because it follows fluorescence along each path; use level "
+                "b"
             )
 
     @property
@@ -533,8 +534,8 @@ def _check_size(design: FingerDesign, rest: FingerShape) -> None:
     for name, size, meshed in (("width", design.pad.width_mm, extent[0]), ("length", design.pad.length_mm, extent[2])):
         if abs(meshed - size) > _SIZE_TOLERANCE_REL * size:
             raise SimulateError(
-                f"the surfaces belong to another finger: their pad has a {name} of {meshed:.3g} mm, but the design's "
-                f"pad.{name}_mm is {size:g} mm; press this design again, and render those surfaces"
+                f"the surfaces belong to another finger, because their pad has a {name} of {meshed:.3g} mm and the "
+                f"design's pad.{name}_mm is {size:g} mm; press this design again, and render the surfaces of that press"
             )
 
 
@@ -542,12 +543,12 @@ def _check_scalar(design: FingerDesign, renderer: ModuleType, settings: RenderSe
     """Refuse what a scalar variant would render wrongly."""
     if renderer.variant() == SCALAR_VARIANT and settings.shared_light:
         raise SimulateError(
-            "--shared-light needs a compiled variant of Mitsuba; install LLVM 17+, or leave --shared-light out"
+            "--shared-light needs a compiled variant of Mitsuba; install LLVM 17 or newer, or leave --shared-light out"
         )
     if renderer.variant() == SCALAR_VARIANT and any(light.beam_exponent != 1.0 for light in design.lights):
         raise SimulateError(
-            "light.beam_exponent: a scalar variant renders Lambertian panels (beam_exponent = 1) only; set it to 1, "
-            "or install LLVM 17+"
+            "light.beam_exponent: a scalar variant supports only Lambertian panels (beam_exponent = 1); set "
+            "beam_exponent to 1, or install LLVM 17 or newer"
         )
 
 
@@ -582,7 +583,7 @@ def check_paints(design: FingerDesign, paints: Mapping[str, PaintOptics]) -> Pai
     """
     missing = {"red", "green"} - paints.keys()
     if missing:
-        raise SimulateError(f"paints must hold 'red' and 'green'; missing: {', '.join(sorted(missing))}")
+        raise SimulateError(f"paints must contain 'red' and 'green', but {', '.join(sorted(missing))} is missing")
     return paint_bands(paints["red"], paints["green"], design.light)
 
 
@@ -635,9 +636,7 @@ def pathwise_integrator(
 ) -> Any:
     """Return the integrator of level c; its channels are the bands, all chains of a band together."""
     if renderer.variant() == SCALAR_VARIANT:
-        raise SimulateError(
-            "level c runs only in compiled variants of Mitsuba; install LLVM 17 or newer, or use --level b"
-        )
+        raise SimulateError("level c needs a compiled variant of Mitsuba; install LLVM 17 or newer, or use --level b")
     from sim.optics._band_paths import band_paths  # these need the variant set
     from sim.optics._fluorescent_paths import fluorescent_bands
 

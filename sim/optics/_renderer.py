@@ -127,12 +127,12 @@ def _require_scalar(variant: str) -> None:
     _, is_absent, library = failure.partition(ABSENT)
     if is_absent:
         raise MissingExtraError(
-            f"Mitsuba does not run here: this system lacks {library}; install the package that holds it "
-            f"({install_command(library)}), then try again"
+            f"Mitsuba does not run here, because {library} is missing on this system; install the package that "
+            f"contains it ({install_command(library)}), then try again"
         )
     raise MissingExtraError(
-        f"Mitsuba does not run here: {failure}; its wheels for x86-64 need a processor with AVX. Render on another "
-        "computer: capture, radiometry, fit, compare and decide do not need it"
+        f"Mitsuba does not run here ({failure}; its wheels for x86-64 need a processor with AVX). Render on another "
+        "computer; capture, radiometry, fit, compare and decide do not need Mitsuba"
     )
 
 

@@ -170,8 +170,7 @@ class SharedGathers:
         if not here.any():
             raise SimulateError(
                 "light can be shared only between pixels that see the coat through the mirror and the gel's inner "
-                "face, but here the camera sees the coat in a different way; check mirror and camera in the design, "
-                "or leave --shared-light out"
+                "face, but here no pixel does; check mirror and camera in the design, or leave --shared-light out"
             )
         return uv.numpy().T[here].astype(np.float64), leg.numpy().T[here].astype(np.float64)
 

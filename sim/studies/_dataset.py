@@ -131,7 +131,7 @@ def _require_room(plan: DatasetPlan) -> None:
         if min(room) <= 0.0:
             raise SimulateError(
                 f"a {shape} of {plan.radius_mm[1]:g} mm radius, {plan.depth_mm[1]:g} mm deep, leaves no room on the "
-                f"pad of {plan.design.pad.length_mm:g} x {plan.design.pad.width_mm:g} mm: its contact is "
+                f"pad of {plan.design.pad.length_mm:g} x {plan.design.pad.width_mm:g} mm, because its contact is "
                 f"{2.0 * float(contact_half_width_mm(largest)):.3g} mm wide; give a smaller --radius-mm or --depth-mm"
             )
 
@@ -192,8 +192,8 @@ def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ..
     deepest = max(pose.push_mm for pose in path)
     if deepest <= 0.0:
         raise SimulateError(
-            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm); a data set scales a "
-            "path so that its deepest push is a randomly drawn depth: give at least one pose with push_mm above 0"
+            f"indenter.path: no pose pushes into the pad (the largest push_mm is {deepest:g} mm), but a data set "
+            "scales the deepest push of a path to a randomly drawn depth; give at least one pose with push_mm above 0"
         )
     return tuple(pose.model_copy(update={"push_mm": pose.push_mm * depth_mm / deepest}) for pose in path)
 
@@ -255,8 +255,8 @@ def stored_shard(task: DatasetTask, shard: PlannedShard) -> DatasetShard | None:
     record = read_record(file, DatasetShard)
     if record.key != shard_key(task, shard):
         raise SimulateError(
-            f"{file}: was computed from another design, other ranges, paints or seed, or holds fewer presses than "
-            "planned; give another --out, or the same options as before (a data set can grow by whole shards only)"
+            f"{file}: was computed from another design or seed, other ranges or paints, or contains fewer presses than "
+            "planned; give another --out, or the same options as before (a data set can grow only by whole shards)"
         )
     return record
 

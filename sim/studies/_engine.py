@@ -308,7 +308,10 @@ def _unfit_words(unfit: Mapping[str, str]) -> str:
     """Say which workers do not fit, and what to do."""
     told = "; ".join(f"worker {address} {reason}" for address, reason in list(unfit.items())[:5])
     more = f"; and {len(unfit) - 5} more" if len(unfit) > 5 else ""
-    return f"{told}{more}. Install the finray of this computer there and mount the folder under its path, or stop them"
+    return (
+        f"{told}{more}. Install the finray of this computer there and mount the folder under the same path, or stop "
+        "these workers"
+    )
 
 
 REFUSAL_S: Final = 1.0
@@ -371,7 +374,10 @@ def open_workers(count: int, scheduler: str | None = None, folder: Path | None =
     try:
         dask, distributed = importlib.import_module("dask"), importlib.import_module("distributed")
     except ImportError as error:
-        raise MissingExtraError(f"design studies need Dask: pip install 'finray-calib[sim]' ({error})") from error
+        raise MissingExtraError(
+            f"design studies need Dask, which is not installed ({error}); install it with pip install "
+            "'finray-calib[sim]'"
+        ) from error
     with dask.config.set(dict(_SETTINGS)):
         if scheduler is not None:
             # what it would log with a traceback is said here in a sentence
@@ -429,7 +435,7 @@ def not_seen(folder: Path) -> str:
     return (
         f"a worker has computed and stored it, but this computer does not see it in {folder} after "
         f"{WAIT_FOR_FILES_S:g} s. Check that the workers see this folder under the same path, then give the same "
-        "command again: it continues with what is missing"
+        "command again, which continues with what is missing"
     )
 
 

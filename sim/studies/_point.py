@@ -104,7 +104,7 @@ def read_plan(name_or_path: str | Path) -> tuple[DesignStudy, Path]:
         path = _PLANS / f"{name_or_path}.toml"
     if not path.exists():
         raise RecordError(
-            f"{path}: no such plan; give a plan file (TOML), or one of the shipped plans: {', '.join(SHIPPED_PLANS)}"
+            f"{path}: no such plan; give a plan file (TOML) or one of the shipped plans, {', '.join(SHIPPED_PLANS)}"
         )
     return read_toml(path, DesignStudy), path
 
@@ -130,7 +130,7 @@ def study_points(plan: DesignStudy, path: Path) -> list[PlannedPoint]:
         try:
             design = _changed(base, {**plan.set, **changes})
         except ValidationError as error:
-            raise SimulateError(f"{path}: point {number} ({_words(changes)}): {explain(error, FingerDesign)}") from None
+            raise SimulateError(f"{path}, point {number} ({_words(changes)}): {explain(error, FingerDesign)}") from None
         except SimulateError as error:
             raise SimulateError(f"{path}: point {number} ({_words(changes)}): {error}") from None
         points.append(PlannedPoint(number, changes, design, _seed(plan, changes, path)))
@@ -160,7 +160,7 @@ def _base(plan: DesignStudy, path: Path, changes: Mapping[str, DesignValue]) -> 
     """Return the design that a point starts from."""
     name = changes.get(PRESET, plan.design)
     if not isinstance(name, str):
-        raise SimulateError(f"{path}: preset = {name!r} must be the name of a ready-made finger")
+        raise SimulateError(f"{path}: preset must be the name of a ready-made finger, got {name!r}")
     file = path.parent / name
     if PRESET not in changes and name not in PRESETS:
         return read_design(file)
@@ -188,8 +188,8 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
         table = table.get(name) if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise SimulateError(
-            f"'{field}' is not a field of this finger: it has no [{'.'.join(above)}]; 'finray design init' writes a "
-            "file with all fields"
+            f"'{field}' is not a field of this finger, because it has no [{'.'.join(above)}]; 'finray design init' "
+            "writes a file with all fields"
         )
     if last not in table:
         raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes a file with all fields")
@@ -201,7 +201,7 @@ def _seed(plan: DesignStudy, changes: Mapping[str, DesignValue], path: Path) -> 
     """Return the seed of a point: the study's, so that points share their random numbers, unless it is varied."""
     seed = changes.get(SEED, plan.seed)
     if isinstance(seed, bool) or not isinstance(seed, int | float) or seed < 0:
-        raise SimulateError(f"{path}: seed = {seed!r} must be a whole number from 0")
+        raise SimulateError(f"{path}: seed must be a whole number of 0 or more, got {seed!r}")
     return int(seed)
 
 
@@ -603,9 +603,9 @@ def _seen(design: FingerDesign, render: PressRender, matrix: Floats) -> _Seen:
     lit = cells[np.isfinite(cells[..., 0])]
     if not len(lit):
         raise SimulateError(
-            f"the pixels are too coarse: no cell of {CELL_MM:g} mm on the coat covers four pixels; raise "
+            f"the pixels are too coarse, because no cell of {CELL_MM:g} mm on the coat covers four pixels; raise "
             f"camera.width_px and camera.height_px ({design.camera.width_px} x {design.camera.height_px}), or turn the "
-            "camera to the coat"
+            "camera towards the coat"
         )
     bands, weights = len(BAND_NAMES), matrix.mean(axis=0)
     near = (render.contact_maps.contact_distance <= HALO) & np.isfinite(place[..., 0])

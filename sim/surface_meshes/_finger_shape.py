@@ -46,13 +46,13 @@ def check_analytic_press(design: FingerDesign) -> None:
         return
     if indenter.depth_mm >= pad.thickness_mm:
         raise ImpossibleFingerError(
-            f"indenter.depth_mm = {indenter.depth_mm} mm goes through the pad; it must be below pad.thickness_mm = "
+            f"indenter.depth_mm = {indenter.depth_mm} mm goes through the pad, but must be below pad.thickness_mm = "
             f"{pad.thickness_mm} mm for the analytic press. {_BY_ELEMENTS}"
         )
     if indenter.shape not in _ANALYTIC_SHAPES:
         raise SimulateError(
-            f'indenter.shape = "{indenter.shape}": the analytic press supports only {" and ".join(_ANALYTIC_SHAPES)}. '
-            f"{_BY_ELEMENTS}"
+            f'indenter.shape = "{indenter.shape}" is not supported by the analytic press, which supports only '
+            f"{' and '.join(_ANALYTIC_SHAPES)}. {_BY_ELEMENTS}"
         )
     turned = any(indenter.rotation_deg)
     if indenter.shape == "cylinder" and (indenter.across_mm != 0.0 or turned):
@@ -60,8 +60,8 @@ def check_analytic_press(design: FingerDesign) -> None:
             f"rotation_deg = {list(indenter.rotation_deg)} deg" if turned else f"across_mm = {indenter.across_mm:g} mm"
         )
         raise SimulateError(
-            f"indenter.{field}: the analytic press supports only a cylinder on the middle line that is not "
-            f"turned. {_BY_ELEMENTS}"
+            f"indenter.{field} is not supported by the analytic press, which supports only a cylinder on the middle "
+            f"line that is not turned. {_BY_ELEMENTS}"
         )
 
 
@@ -167,8 +167,8 @@ def _dent_and_bulge(
     bulge = _mean(_bulge_shape(design, half_width, qx, qz))
     if bulge < SMALLEST_BULGE_MEAN:
         raise ImpossibleFingerError(
-            f"indenter.radius_mm = {indenter.radius_mm} mm at depth {indenter.depth_mm} mm covers "
-            f"the pad of {design.pad.length_mm} mm from end to end and leaves no free face; reduce radius or depth"
+            f"indenter.radius_mm = {indenter.radius_mm} mm at a depth of {indenter.depth_mm} mm covers the pad of "
+            f"{design.pad.length_mm} mm from end to end and leaves no free face; reduce radius or depth"
         )
     return _dented(design, x, z) + removed / bulge * _bulge_shape(design, half_width, x, z)
 
@@ -229,14 +229,17 @@ class Surface:
         for name, shape in (("vertices_mm", (3,)), ("triangles", (3,)), ("uv", (2,))):
             values = getattr(self, name)
             if values.ndim != 2 or values.shape[1:] != shape or not np.isfinite(values).all():
-                raise SimulateError(f"a surface's {name} must be finite, of shape (n, {shape[0]}), got {values.shape}")
+                raise SimulateError(
+                    f"a surface's {name} must be finite and of shape (n, {shape[0]}), got shape {values.shape}"
+                )
         if len(self.uv) != len(self.vertices_mm) or not len(self.triangles):
             raise SimulateError(
-                f"a surface needs triangles and a texture coordinate per vertex, got {len(self.triangles)} triangles, "
-                f"{len(self.vertices_mm)} vertices and {len(self.uv)} texture coordinates"
+                "a surface needs at least one triangle and one texture coordinate for each vertex, got "
+                f"{len(self.triangles)} triangles, {len(self.vertices_mm)} vertices and {len(self.uv)} texture "
+                "coordinates"
             )
         if self.triangles.min() < 0 or self.triangles.max() >= len(self.vertices_mm):
-            raise SimulateError(f"a surface's triangles must name vertices 0 to {len(self.vertices_mm) - 1}")
+            raise SimulateError(f"a surface's triangles must name only vertices from 0 to {len(self.vertices_mm) - 1}")
 
     def reversed(self) -> "Surface":
         """Return the same surface seen from its other side."""
@@ -316,9 +319,9 @@ def check_closed(surfaces: Mapping[str, Surface], body: str = "gel") -> float:
         per_face = np.bincount(np.tile(owner, 3)[bad], minlength=len(surfaces))
         where = ", ".join(f"{name} ({n})" for name, n in zip(surfaces, per_face, strict=True) if n)
         raise ImpossibleFingerError(
-            f"the {body} is not closed: {int(bad.sum())} edges are open or belong to triangles of opposite "
-            f"orientation, at {where}; two triangles of the same orientation must meet at every edge. Close the "
-            f"mesh, or turn the face"
+            f"the {body} is not closed, because {int(bad.sum())} edges are open or belong to triangles of opposite "
+            f"orientation, at {where}. Two triangles of the same orientation must meet at every edge; close the mesh, "
+            "or turn the face"
         )
     a, b, c = (vertices[corners[:, k]] for k in range(3))
     volume = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
@@ -427,7 +430,7 @@ class FingerShape:
             raise SimulateError(f"the finger's shape lacks the surfaces {', '.join(missing)}")
         if self.contact_distance.shape != (len(self.surfaces["coat"].vertices_mm),):
             raise SimulateError(
-                f"contact_distance must hold one value per vertex of the coat "
+                "contact_distance must contain one value for each vertex of the coat "
                 f"({len(self.surfaces['coat'].vertices_mm)}), got shape {self.contact_distance.shape}"
             )
         check_closed(self.gel)

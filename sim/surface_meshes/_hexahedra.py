@@ -148,7 +148,8 @@ def _displaced(nodes_mm: NDArray[np.float64], displacement_mm: NDArray[np.float6
         return nodes_mm
     if displacement_mm.shape != nodes_mm.shape or not np.isfinite(displacement_mm).all():
         raise SimulateError(
-            f"displacement_mm must be finite, of shape {nodes_mm.shape} as the nodes, got {displacement_mm.shape}"
+            f"displacement_mm must be finite and of the same shape as the nodes, {nodes_mm.shape}, got shape "
+            f"{displacement_mm.shape}"
         )
     return nodes_mm + displacement_mm
 
@@ -174,8 +175,9 @@ def _gel_quads(
     missing = [name for name in GEL_FACES if not on[name].any()]
     if missing:
         raise SimulateError(
-            f"the block gel of the mesh has no face {' and no face '.join(missing)}; the mesh does not belong "
-            f"to this design, whose pad of {pad.length_mm:g} x {pad.width_mm:g} mm starts at y = 0 and z = 0"
+            "the mesh does not belong to this design, because its block gel has no face "
+            f"{' and no face '.join(missing)}; the pad of the design, {pad.length_mm:g} x {pad.width_mm:g} mm, starts "
+            "at y = 0 and z = 0"
         )
     return {name: quads[on[name]] for name in GEL_FACES}
 
@@ -191,7 +193,10 @@ def _rigid_quads(
     _, height = _on_mirror(mirror_shape(design), nodes_mm[boundary.quads])
     facing = (owner == 0) & (np.abs(height) < _ON_FACE_MM).all(axis=1)
     if not facing.any():
-        raise SimulateError("no face of the block mirror lies on the mirror of this design; mesh and design must agree")
+        raise SimulateError(
+            "the mesh does not belong to this design, because no face of the block mirror lies on the mirror of the "
+            "design; give the mesh of this design"
+        )
     if len(names) == 1:
         return {"mirror": boundary.quads[facing]}
     # the edges of the mirror belong to the skeleton: they are as dark
@@ -203,7 +208,7 @@ def _rigid_quads(
 def _block(hexahedra: Mapping[str, NDArray[np.int64]], name: str) -> NDArray[np.int64]:
     """Return a block."""
     if name not in hexahedra:
-        raise SimulateError(f"the mesh has no block {name}; it has {', '.join(hexahedra)}")
+        raise SimulateError(f"the mesh has no block {name}; its blocks are {', '.join(hexahedra)}")
     return hexahedra[name]
 
 

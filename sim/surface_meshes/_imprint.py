@@ -58,8 +58,8 @@ def height_over_pad_mm(corners_mm: Floats, x_mm: Floats, z_mm: Floats, side: Lit
     count = np.maximum(last_x - first_x, 0) * along
     if count.sum() > _MOST_PAIRS:
         raise SimulateError(
-            f"a mesh of {len(corners_mm)} triangles covers the pad {count.sum() / (x_mm.size * z_mm.size):.0f} times; "
-            "give one with fewer layers or larger triangles"
+            f"a mesh of {len(corners_mm)} triangles covers the pad {count.sum() / (x_mm.size * z_mm.size):.0f} times, "
+            "which is too often; give a mesh with fewer layers or larger triangles"
         )
     owner = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
@@ -148,7 +148,10 @@ def read_height_map(path: Path) -> Floats:
         _, arrays = parse_in_child(f"{__name__}:grey_picture", content, path, "a PNG picture", SimulateError)
         values = np.asarray(arrays["picture"], dtype=np.float64)
     if values.ndim != 2 or min(values.shape) < 2 or not np.isfinite(values).all():
-        raise SimulateError(f"{path}: a height map holds finite numbers in rows and columns, got shape {values.shape}")
+        raise SimulateError(
+            f"{path}: a height map must contain finite numbers in at least 2 rows and 2 columns, got shape "
+            f"{values.shape}"
+        )
     return values
 
 
@@ -165,7 +168,7 @@ def grey_picture(content: bytes, where: str) -> tuple[dict[str, Any], dict[str, 
     picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None or picture.ndim != 2:
         held = "cannot be decoded" if picture is None else f"holds {picture.shape[2]} channels"
-        raise SimulateError(f"{where}: {held}; a height map must be a grey PNG of 8 or 16 bit")
+        raise SimulateError(f"{where}: {held}, but a height map must be a grey PNG of 8 or 16 bit")
     return {}, {"picture": picture}
 
 

@@ -98,7 +98,7 @@ class Solid:
     def __post_init__(self) -> None:
         runs = sorted(run for face in self.faces for loop in face.loops for run in loop)
         if runs != [(edge, forward) for edge in range(len(self.edges)) for forward in (False, True)]:
-            raise SimulateError("the solid is not closed: two faces must meet at every edge, one on each side of it")
+            raise SimulateError("the solid is not closed; two faces must meet at every edge, one on each side of it")
 
 
 Numbers = NDArray[np.int64]
@@ -185,7 +185,7 @@ def _normals(nodes_mm: Coordinates, quads: Numbers) -> Coordinates:
     warped_mm = np.abs(np.einsum("qx,qx->q", b - a, normals)).max()
     if not warped_mm <= _MOST_WARPED_MM:
         raise SimulateError(
-            f"a quadrilateral of the surface is warped by {warped_mm:.2g} mm; a flat face needs flat quadrilaterals"
+            f"a quadrilateral of the surface is warped by {warped_mm:.2g} mm, but a flat face needs flat quadrilaterals"
         )
     return np.asarray(normals)
 
@@ -198,7 +198,7 @@ def _half_edges(quads: Numbers, normals: Coordinates) -> _HalfEdges:
     one, two = order[0::2], order[1::2]
     if len(order) % 2 or (start[one] != end[two]).any() or (end[one] != start[two]).any() or _repeats(start, end):
         raise SimulateError(
-            "the surface is open, or pinched to an edge: two faces must meet at every edge and run it in opposite "
+            "the surface is open or pinched to an edge, but two faces must meet at every edge and run it in opposite "
             "directions"
         )
     twin = np.empty_like(side)
@@ -320,9 +320,7 @@ def check_no_intersections(surfaces: Mapping[str, Surface], body: str = "gel") -
     for first, second in combinations_with_replacement(surfaces, 2):
         if _cross({name: surfaces[name] for name in (first, second)}):
             what = f"surface {first} passes through {'itself' if first == second else f'surface {second}'}"
-            raise SimulateError(
-                f"the {body} intersects itself: {what}; a deformation this large needs a finer mesh or a smaller press"
-            )
+            raise SimulateError(f"the {body} intersects itself, because {what}; use a finer mesh or a smaller press")
 
 
 def _cross(surfaces: Mapping[str, Surface]) -> bool:

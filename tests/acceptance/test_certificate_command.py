@@ -181,7 +181,7 @@ def test_scatter_of_combined_sessions_stands_on_the_certificate():
     paint = alone.model_copy(update={"between_sessions": scatter})
     assert "sessions were combined" not in certificate_page(certificate(alone), alone)
     told = certificate_page(certificate(paint), paint)
-    assert re.search(r"3 sessions were combined\. .*2\.1\s%\s\[0\.3\s%,\s8\.3\s%\], and a single filter", told)
+    assert re.search(r"3 sessions were combined\. .*2\.1\s%\s\[0\.3\s%,\s8\.3\s%\], and each filter", told)
 
 
 def test_pdf_is_one_sheet_and_repeats():

@@ -92,12 +92,12 @@ def test_a_number_that_changes_the_mesh_is_pressed_again(pressed):
     # one rib more is another mesh; the press is whole again then
     finger, other = design(), changed_design(design(), "skeleton.rib_count", design().skeleton.rib_count + 1)
     found = press_derivatives(finger, pressed, {"skeleton.rib_count": DesignChange(finger, other, 1.0)}, SETTINGS)
-    assert "changes the mesh, and thereby the force" in found.refused["skeleton.rib_count"]
+    assert "changes the mesh and thereby the force" in found.refused["skeleton.rib_count"]
     assert not found.names
 
 
 def test_presses_by_the_barrier_have_none(pressed):
-    with pytest.raises(SimulateError, match="derivatives need a press with penalty contact"):
+    with pytest.raises(SimulateError, match=r"derivatives need a press .* with penalty contact"):
         press_derivatives(design(), replace(pressed, kind="barrier"), {}, SETTINGS)
 
 
@@ -105,7 +105,7 @@ def test_presses_whose_parts_touched_have_none(pressed):
     """The contact between the parts is not in them: without it they were 2 to 3 % off on a finger pressed by 9 mm."""
     assert pressed.parts_touch_from_mm is None
     touched = replace(pressed, parts_touch_from_mm=0.3)
-    with pytest.raises(SimulateError, match="leave out contact between parts of the finger"):
+    with pytest.raises(SimulateError, match="do not include contact between parts of the finger"):
         press_derivatives(design(), touched, {}, SETTINGS)
 
 

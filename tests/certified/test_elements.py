@@ -204,7 +204,7 @@ def test_energy_of_each_block():
 
 def test_materials_must_fit():
     cells = unit_cells(1, 1, 1)
-    with pytest.raises(SimulateError, match="material material, which is not among gel"):
+    with pytest.raises(SimulateError, match="the material material, but the known materials are gel"):
         Elasticity(cells.mesh("mean_dilatation"), {"gel": GEL})
     with pytest.raises(SimulateError, match=r"block block asks for mean dilatation.*use incompatible_modes"):
         Elasticity(cells.mesh("mean_dilatation"), {"material": FILM})

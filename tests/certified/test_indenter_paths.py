@@ -116,9 +116,9 @@ def test_the_way_back_without_friction_ends_where_it_began():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("across_mm,push_mm\n", "has no pose"),
+        ("across_mm,push_mm\n", "contains no pose"),
         ("across,push_mm\n0,1\n", "the column 'across' is unknown"),
-        ("increments\n3\n", "has no column that moves"),
+        ("increments\n3\n", "no column moves"),
         ("push_mm,turn_y_deg\n1,ten\n", "line 2, column turn_y_deg"),
         ("push_mm,along_mm\n1\n", "line 2: has 1 columns"),
         ("push_mm,increments\n1,2.5\n", "line 2: 'increments': must be a whole number, got 2.5"),

@@ -75,11 +75,11 @@ def test_a_twist_holds_its_balance(finger):
 
 
 def test_wrong_loads_are_refused(finger):
-    with pytest.raises(SimulateError, match="a push needs a finite force other than zero"):
+    with pytest.raises(SimulateError, match="must be finite and not zero for a push"):
         finger.push("tip", (0.0, 0.0, 0.0))
-    with pytest.raises(SimulateError, match="an angle of up to 90 deg other than zero"):
+    with pytest.raises(SimulateError, match="must be at most 90 deg to either side and not zero"):
         finger.twist(0.0)
-    with pytest.raises(SimulateError, match="a press needs a finite force above 0 N"):
+    with pytest.raises(SimulateError, match="must be finite and above 0 N for a press"):
         press_to_force(SMALL, -1.0)
     rough = SMALL.model_copy(update={"indenter": SMALL.indenter.model_copy(update={"friction": 0.3})})
     with pytest.raises(
@@ -115,7 +115,7 @@ def test_torque_at_slip_of_known_patches():
     # two points: each holds mu N_i; the weaker one gives way about the stronger one
     assert slip_torque_n_mm(pair, np.array([3.0, 1.0]), 0.5) == pytest.approx(0.5 * 1.0 * 4.0, rel=1e-5)
     assert frictionless_torque_n_mm(pair, np.array([3.0, 1.0]), 10.0) == pytest.approx(4.0 * (5.0 - 1.0), rel=1e-12)
-    with pytest.raises(SimulateError, match="coefficient must be finite and not negative"):
+    with pytest.raises(SimulateError, match="must be a finite coefficient of 0 or more"):
         slip_torque_n_mm(pair, np.ones(2), -0.1)
 
 
@@ -145,21 +145,23 @@ def test_the_order_of_two_fingers_and_its_table(monkeypatch):
     assert twist.ratio == pytest.approx((1.2 / 0.8) ** 2)
     assert twist.smallest_ratio == pytest.approx((1.2 / 0.8) ** 2)
     assert twist.independent_ratio == pytest.approx((1.2 * 0.8 / (0.8 * 1.2)) ** 2)
-    with pytest.raises(SimulateError, match="give each its own name"):
+    with pytest.raises(SimulateError, match="give each design a unique name"):
         study_finger_stiffness([stiff, stiff])
-    with pytest.raises(SimulateError, match=r"give 0 to 0\.5"):
+    with pytest.raises(SimulateError, match=r"give a share from 0 to 0\.5"):
         study_finger_stiffness([stiff], 0.6)
 
 
 def test_a_grip_that_does_not_reach_its_force_holds_no_known_torque(monkeypatch):
     def early(*_, **__):
-        return type("Early", (), {"unreached": "no equilibrium beyond 0.5", "force_n": np.array([[0.0, 1.0, 0.0]])})
+        return type(
+            "Early", (), {"unreached": "no equilibrium was found beyond 0.5", "force_n": np.array([[0.0, 1.0, 0.0]])}
+        )
 
     def never(*_, **__):
         raise NoEquilibriumError("no equilibrium at a push of 0.1 mm")
 
     monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", early)
-    assert _held_torques(SMALL, 1) == (None, None, "the grip ended early, at 1 N: no equilibrium beyond 0.5")
+    assert _held_torques(SMALL, 1) == (None, None, "the grip ended early, at 1 N: no equilibrium was found beyond 0.5")
     monkeypatch.setattr("sim.experiments._design_sensitivities.press_to_force", never)
     assert _held_torques(SMALL, 1) == (None, None, "no equilibrium at a push of 0.1 mm")
 

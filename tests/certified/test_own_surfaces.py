@@ -54,7 +54,7 @@ def test_a_part_that_passes_through_another_is_named(down_mm, crosses):
     told = OwnSurfaces(mesh).crossing(move)
     assert bool(told) == crosses
     if crosses:
-        assert told.startswith("the finger passes through itself: its ")
+        assert told.startswith("the finger passes through itself (its ")
         assert "upper rib" in told
         assert "lower rib" in told
         assert told.endswith(" mm of the undeformed finger")
@@ -109,7 +109,7 @@ def crossing_by_penalty(monkeypatch):
 
     def crossing(_, displacement_mm):
         crosses = np.abs(displacement_mm).max() > 0.4 and len(displacement_mm) == nodes
-        return "the finger passes through itself: its skeleton through its skeleton" if crosses else ""
+        return "the finger passes through itself (its skeleton through its skeleton)" if crosses else ""
 
     monkeypatch.setattr(OwnSurfaces, "crossing", crossing)
 
@@ -295,7 +295,7 @@ def test_a_press_whose_parts_touch_is_continued_with_their_contact_only(monkeypa
     assert again.contact == whole.contact
     assert "of each other from a push of 3 mm on" in whole.contact
     with pytest.raises(
-        SimulateError, match="from a push of 3 mm on, and --contact penalty leaves this contact out; continue"
+        SimulateError, match="from a push of 3 mm on, but --contact penalty leaves this contact out; continue"
     ):
         press_finger(folding(4.0), PressSettings(increments=4, contact="penalty"), resume=resume)
 

@@ -384,7 +384,7 @@ CASES = (
     Case(
         "classic sensor for a finger",
         "simulate press {tmp}/sensor.toml",
-        r"sensor\.toml: is the design of a classic sensor, but the design of a finger is needed; 'finray design init",
+        r"sensor\.toml: contains the design of a classic sensor, but the design of a finger is needed; 'finray design",
         file("sensor.toml", 'kind = "sensor"\npreset = "digit"\n'),
     ),
     Case(
@@ -581,7 +581,7 @@ CASES = (
     Case(
         "columns of pairs",
         "compare --pairs {tmp}/pairs.csv --out {tmp}/c",
-        r"pairs\.csv: row 1: needs a file in each of the columns simulated and captured; the row has sim = a, cap = b",
+        r"row 1: must name a file in both columns, simulated and captured, but the row has sim = a, cap = b",
         file("pairs.csv", "sim,cap\na,b\n"),
     ),
     Case(
@@ -649,20 +649,20 @@ CASES = (
     Case(
         "indenter that starts inside the finger",
         MECHANICS,
-        r"the indenter starts inside the finger: .* check indenter\.file, position_mm, across_mm and rotation_deg",
+        r"the indenter starts inside the finger, .* check indenter\.file, position_mm, across_mm and rotation_deg",
         # a second body far below, in the base plate
         with_indenter(np.vstack([CUBE, CUBE - [0.0, 14.0, 43.0]]), np.vstack([FACETS, FACETS + 8])),
     ),
     Case(
         "open STL",
         MECHANICS,
-        r"body\.stl: is open: 3 edges belong to one triangle only .* close it in a modelling",
+        r"body\.stl: the body is not closed, because 3 edges belong to only one triangle .* close the body",
         with_indenter(CUBE, FACETS[1:]),
     ),
     Case(
         "STL in metres",
         MECHANICS,
-        r"body\.stl: .* looks like a file in metres: export it in mm",
+        r"body\.stl: .* seems to be in metres; export it in mm",
         with_indenter(1e-3 * CUBE, FACETS),
     ),
     Case(
@@ -674,7 +674,7 @@ CASES = (
     Case(
         "name of a ready-made finger for its file",
         "simulate press flat-70x35",
-        r"flat-70x35: no such file; write it first: finray design init flat-70x35, then give flat-70x35\.toml",
+        r"flat-70x35: no such file; write it with 'finray design init flat-70x35', then give flat-70x35\.toml",
     ),
     Case(
         "no surrogate",
@@ -697,7 +697,7 @@ CASES = (
     Case(
         "too few presses for teaching",
         "simulate teach {tmp}/finger.toml --presses 3",
-        r"finger\.toml: 3 presses are too few; at least 20 are needed",
+        r"finger\.toml: 3 presses are too few; give at least 20",
         design("[indenter]\nradius_mm = 10.0"),
     ),
     Case(
@@ -822,7 +822,7 @@ CASES = (
     Case(
         "objectives of sensing by the scalar renderer",
         SWEEP + " --angles 0:90:30 --engine scalar --objectives all",
-        r"needs a compiled variant of Mitsuba; leave out --engine scalar",
+        r"need a compiled variant of Mitsuba, .*; leave out --engine scalar",
     ),
     Case(
         "sweep of the paper's emitter",
@@ -844,7 +844,7 @@ CASES = (
     Case(
         "indenter through the pad",
         BAD_FINGER,
-        r"indenter\.depth_mm = 6\.5 mm goes through the pad; it must be below .* 6\.0 mm",
+        r"indenter\.depth_mm = 6\.5 mm goes through the pad, but must be below .* 6\.0 mm",
         edited("finger.toml", "[camera]", "[indenter]\ndepth_mm = 6.5\n[camera]"),
     ),
     Case("place off the pad", SWEEP + " --angles 0:90:30 --positions 8,90", r"90 mm is not on the pad; .* below 70 mm"),
@@ -857,12 +857,12 @@ CASES = (
     Case(
         "images of different size",
         "compare {lab}/press.json {lab}/cut-capture.json",
-        r"press\.json and \S+cut-capture\.json: strip has 80 x 60 px, .* has 80 x 40 px: simulate with the camera of",
+        r"press\.json and \S+cut-capture\.json: strip has 80 x 60 px, .* has 80 x 40 px; simulate with the camera of",
     ),
     Case(
         "black render",
         "compare {lab}/black-press.json {lab}/capture.json",
-        r"black-press\.json and \S+capture\.json: no exposure factor fits: .* is black over the region; check the",
+        r"black-press\.json and \S+capture\.json: no exposure factor fits, because .* is black over the region; check",
     ),
     Case(
         "compare exchanged",
@@ -872,27 +872,27 @@ CASES = (
     Case(
         "three angles",
         "decide {lab}/short-sweep.json",
-        r"short-sweep\.json: The sweep has 3 angles; at least 4 are need",
+        r"short-sweep\.json: The sweep has only 3 angles, but at least 4 are need",
     ),
     Case(
         "report on encoded values",
         "decide {lab}/sweep.json --photometric-error {lab}/encoded-report.json",
-        r"sweep\.json and \S+encoded-report\.json: .*carries no brightness error, .* on both sides: render the press",
+        r"sweep\.json and \S+encoded-report\.json: .*contains no brightness error, .* on both sides; render the press",
     ),
     Case(
         "one capture twice",
         "decide {lab}/sweep.json --photometric-error {lab}/report.json --photometric-error {lab}/report.json",
-        r"two reports are on the capture 'capture of the strip': the same capture would count twice\. Give one report",
+        r"two reports are on the capture 'capture of the strip', which would count twice\. Give one report",
     ),
     Case(
         "one touch twice",
         "decide {lab}/sweep.json {lab}/sweep.json",
-        r"two sweeps belong to the same touch \(position_mm = 35 mm\): the touch would count twice",
+        r"two sweeps belong to the same touch \(position_mm = 35 mm\), which would count twice",
     ),
     Case(
         "weights that do not fit",
         "decide {lab}/sweep.json --weights 1,2",
-        r"weights \[1\.0, 2\.0\] do not fit one sweep: give one number above 0 for each sweep",
+        r"weights \[1\.0, 2\.0\] do not fit one sweep; give one number above 0 for each sweep",
     ),
     # import and demo
     Case(
@@ -1001,7 +1001,7 @@ CASES = (
     Case(
         "parts of a classic sensor",
         "design export digit",
-        r"digit: is a ready-made classic sensor, but a finger is needed",
+        r"digit: is a classic sensor, but a finger is needed",
     ),
     Case("folder without pictures of a board", "sense scale {lab}", r": contains no tactile session \(session\.json"),
     Case(

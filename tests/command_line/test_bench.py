@@ -191,7 +191,7 @@ def test_our_physics_beside_the_table(captures: Path) -> None:
     }  # fmt: skip
     refused = finray("bench tactile set --elastic-gel --teach 2 --out two")
     assert refused.status == 2
-    assert "there are 2 training presses, but the model of an elastic gel needs at least 3" in refused.err
+    assert "there are only 2 training presses, but the model of an elastic gel needs at least 3" in refused.err
     for name in ("elastic gel under three lights", "doing nothing"):
         mistaken = finray(f"bench tactile set --simulator '{name}' --command 'true' --out mistaken")
         assert mistaken.status == 2

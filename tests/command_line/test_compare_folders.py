@@ -104,7 +104,7 @@ def test_a_relative_comparison_says_so_everywhere_and_suggests_no_decision(folde
     assert read_record(folders / "out" / batch.pairs[1].report, PhotometricErrorReport).relative
     for page in ("summary", "one.photometric-error"):
         text = (folders / f"out/{page}.html").read_text()
-        assert "Relative: the captured image without contact stands in the place of the render" in text
+        assert "Relative: the captured image without contact replaces the render" in text
     one = f"compare {folders}/simulated/one.press.json {folders}/captured/one.capture.json"
     relative = finray(f"{one} --relative --out {folders}/relative.json")
     absolute = finray(f"{one} --out {folders}/absolute.json")
@@ -165,11 +165,11 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
             "{0}/simulated --pairs {0}/pairs.csv",
             "either SIMULATED and CAPTURE or --pairs CSV must be given, but not both",
         ),
-        ("--pairs {0}/pairs.csv", "row 1: needs a file in each of the columns simulated and captured"),
+        ("--pairs {0}/pairs.csv", "row 1: must name a file in both columns, simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
         ("--pairs {0}/bytes.csv", "bytes.csv: cannot be read as UTF-8"),
         ("{0}/simulated {0}/captured --normal-map {0}/none.json", "none.json: no such file"),
-        ("{0}/captured {0}/simulated", "no press has a capture of its name (0 presses, 0 captures)"),
+        ("{0}/captured {0}/simulated", "no simulated press and capture have the same name (0 presses, 0 captures)"),
     ],
 )
 def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str, message: str) -> None:

@@ -69,7 +69,7 @@ def test_a_classic_sensor_gets_even_powers(tmp_path: Path) -> None:
     [
         ("flat-70x35 --range 4:1", "must be LOW:HIGH, two factors above 0"),
         ("flat-70x35 --range 0:1", "must be LOW:HIGH, two factors above 0"),
-        ("flat-70x35 --total 0.1", "more than the total allows"),
+        ("flat-70x35 --total 0.1", "but the total allows only"),
         ("flat-70x35 --samples 3", "must be an even whole number"),
         ("flat-70x35 --map light.angle_deg=0:60:30", "needs a finger and two of its numbers; give --map twice"),
         ("flat-70x35 --map light.angle_deg=0:60 --map light.angle_deg=0:60:10", "FIELD=LOW:HIGH:STEP"),

@@ -66,7 +66,10 @@ def test_light_is_searched_with_the_paints_of_the_rig(tmp_path: Path) -> None:
         ("--for softness --and softness", "'softness' is given twice; give each objective once"),
         ("--for softness --within pad.thickness_mm --within pad.thickness_mm=5:7", "a field is given twice"),
         ("--for softness --within pad.thicknes_mm=5:7", "'pad.thicknes_mm' is not a field of a design"),
-        ("--for softness --within pad.thickness_mm --evaluations 5", "5 are too few for 1 parameters; give 10 or more"),
+        (
+            "--for softness --within pad.thickness_mm --evaluations 5",
+            "5 are too few for 1 parameters; give at least 10",
+        ),
         ("--for softness --confirm 2", "'2' must be 0, or a whole number from 3 to 100"),
         ("--for softness --evaluations many", "'many' must be a whole number from 1 to 1000"),
         ("--for normal-error --paint red=x.json", "give both red=FILE and green=FILE"),

@@ -113,7 +113,7 @@ def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, mo
 
 def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
     assert main(["study", "run", str(tmp_path / "none.toml")]) == 2
-    assert "no such plan; give a plan file (TOML), or one of the shipped plans" in capsys.readouterr().err
+    assert "no such plan; give a plan file (TOML) or one of the shipped plans" in capsys.readouterr().err
     (tmp_path / "plan.toml").write_text(PLAN.replace("light.angle_deg", "light.angel"))
     assert main(["study", "run", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out")]) == 2
     assert (

@@ -53,7 +53,7 @@ def test_what_cannot_vary_is_refused(paints: Path, tmp_path: Path) -> None:
     files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json"
     for given, words in (
         ("--vary light.angel_deg=2", "is not a number of this finger"),
-        ("--vary light.angle_deg=-2", "0 (the number is left out) or more"),
+        ("--vary light.angle_deg=-2", "0 or more, and finite"),
         ("--vary light.angle_deg", "must be FIELD=HALF_RANGE"),
         ("--runs 3", "runs"),
     ):

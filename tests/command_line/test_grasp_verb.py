@@ -68,7 +68,7 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path, monkeypatch: pytest.Monke
         (
             "--force 1 --mass 0.1",
             "frictionless",
-            "indenter.friction = 0: only friction can hold a weight that pulls along",
+            "indenter.friction = 0 cannot hold a weight that pulls along",
         ),
     ],
 )

@@ -115,7 +115,7 @@ def test_fitted_to_a_capture(design, tmp_path, monkeypatch):
     assert read_sensor(tmp_path / "sensor.fitted.toml").name == "small sensor, fitted"
     for options, why in (
         ("--samples 3", "--samples 3: must be an even whole number"),
-        ("--free pad.nose", "--free pad.nose: must be a positive number"),
+        ("--free pad.nose", "--free pad.nose: must be the dotted path of a positive number"),
         ("--paint red=a.json", "give both red=FILE and green=FILE"),
     ):
         outcome = finray(f"simulate fit sensor.toml --captures a.json --out b.sensor.json --engine scalar {options}")

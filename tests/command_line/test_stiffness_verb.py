@@ -65,7 +65,10 @@ def test_a_finger_that_cannot_grip_is_told_of(tmp_path: Path, monkeypatch: pytes
     ("arguments", "message"),
     [
         ("baby-48x18 --vary 60", "--vary: '60' must be a change in per cent of 0 to 50"),
-        ("baby-48x18 baby-48x18", "two designs have the same name (baby-48x18, baby-48x18): give each its own name"),
+        (
+            "baby-48x18 baby-48x18",
+            "two designs have the same name (baby-48x18, baby-48x18); give each design a unique name",
+        ),
         ("no-such", "no preset design 'no-such'"),
         ("no-such.toml", "no-such.toml: no such file"),
     ],

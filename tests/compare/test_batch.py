@@ -28,7 +28,8 @@ def test_files_are_paired_by_name():
     assert pair_by_name(["a.json"], ["a.json"])[0] == {"a": ("a.json", "a.json")}
     assert pair_name("one.press.json") == pair_name("one.capture.json") == "one"
     with pytest.raises(
-        CompareError, match=r"no press has a capture of its name \(1 presses, 0 captures\): name them one"
+        CompareError,
+        match=r"no simulated press and capture have the same name \(1 presses, 0 captures\); give each pair one name",
     ):
         pair_by_name(["a.press.json"], [])
 
@@ -44,9 +45,11 @@ def test_files_are_paired_by_a_table():
         PairRow("why", "s/b.json", "c\\y.json", "mine", session="day 2"),
         PairRow("x", "s/c.json", "c/x.capture.json", "mine", "5", None, "A"),
     ]
-    with pytest.raises(CompareError, match="row 2: the name 'x' occurs twice; add a column 'name' that gives"):
+    with pytest.raises(
+        CompareError, match="row 2: the name 'x' occurs twice; give each pair a unique name in the column 'name'"
+    ):
         pairs_of_rows([rows[0], rows[0]])
-    with pytest.raises(CompareError, match="row 1: needs a file in each of the columns simulated and captured"):
+    with pytest.raises(CompareError, match="row 1: must name a file in both columns, simulated and captured"):
         pairs_of_rows([{"simulation": "a", "captured": "b"}])
     with pytest.raises(CompareError, match="no pair is listed; give one row per press"):
         pairs_of_rows([])
@@ -189,10 +192,10 @@ def test_simulators_are_ranked_over_the_presses_that_all_have():
 
 def test_what_to_capture_next_follows_from_what_is_missing():
     told = to_capture([pair("a", 0.9), pair("b", 0.8)])
-    assert told[0].startswith("1 more press, at other places and depths: an interval needs 3")
+    assert told[0].startswith("1 more press, at other places and depths: an interval needs at least 3")
     assert any("second image without contact for each press: 2 of 2 pairs have none" in wish for wish in told)
     many = to_capture([pair(k, s) for k, s in enumerate((0.93, 0.95, 0.96, 0.94, 0.95, 0.97))])
-    assert re.match(r"\d+ more presses: the interval of 6 is 0\.0\d+ to either side", many[0])
+    assert re.match(r"\d+ more presses: the interval reaches 0\.0\d+ to either side with 6", many[0])
     assert to_capture([pair("a", None)]) == ()
 
 

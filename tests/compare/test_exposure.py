@@ -55,7 +55,8 @@ def test_the_press_itself_does_not_matter():
 def test_black_images_have_no_exposure_factor(render, capture):
     flat = np.ones((*SHAPE, 3))
     with pytest.raises(
-        CompareError, match="no exposure factor fits: the render or the capture without contact is black"
+        CompareError,
+        match="no exposure factor fits, because the render or a channel of the capture without contact is black",
     ):
         exposure_fit(layers_of(render * flat, render * flat), capture * flat, 0.0 * flat, EVERYWHERE)
 
@@ -125,7 +126,7 @@ def test_a_region_without_a_usable_part_is_refused():
     base, pressed = smooth_layers()
     few = np.zeros(SHAPE, bool)
     few[:9, :9] = True
-    with pytest.raises(CompareError, match=r"no part of the region .* at least 10 pixels .* larger"):
+    with pytest.raises(CompareError, match=r"the region was divided .* none has at least 10 usable pixels .* larger"):
         part_levels(layers_of(pressed, base), captured_of(pressed @ MATRIX.T, base @ MATRIX.T), few, ())
 
 
@@ -179,5 +180,5 @@ def test_a_render_that_failed_is_refused():
     press = made_up_press()
     broken = press.contact.copy()
     broken[3, 4, 1] = np.nan
-    with pytest.raises(CompareError, match="strip holds values that are not finite: the render failed"):
+    with pytest.raises(CompareError, match="strip contains values that are not finite, because the render failed"):
         render_layers(press.model_copy(update={"contact": broken}))

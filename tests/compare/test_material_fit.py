@@ -136,9 +136,13 @@ def test_bad_curves_and_blocks_are_refused(models):
     far = MeasuredForce("far.csv", good.displacement_mm + 10.0, good.force_n)
     with pytest.raises(CompareError, match=r"far\.csv: its displacements begin at 10\.\d+ mm .* count them from near"):
         fit_material([far], [models["lubricated"]], rng)
-    with pytest.raises(SimulateError, match="a bonded block 10 mm high can be compressed by more than 0 and at most"):
+    with pytest.raises(
+        SimulateError, match="pushes of a bonded block 10 mm high must increase, be above 0 and at most"
+    ):
         compress_block(block("bonded"), Ogden((0.3,), (2.0,)), [3.0])
-    with pytest.raises(SimulateError, match=r"height_mm = 0\.1 mm: an edge of a block must be from 0\.5 to 300 mm"):
+    with pytest.raises(
+        SimulateError, match=r"height_mm must be from 0\.5 to 300 mm for an edge of a block, got 0\.1 mm"
+    ):
         GelBlock(20.0, 20.0, 0.1, "bonded")
     without = press(0.13, np.linspace(0.25, 2.0, 4)).model_copy(update={"slopes": ()})
     with pytest.raises(

@@ -162,7 +162,7 @@ def test_images_of_different_size_are_refused():
     press = coloured_press(rng)
     capture = edited(capture_of(press, rng), lambda dn: dn[:100])
     with pytest.raises(
-        CompareError, match="strip has 160 x 120 px, capture has 160 x 100 px: simulate with the camera"
+        CompareError, match="strip has 160 x 120 px, but capture has 160 x 100 px; simulate with the camera"
     ):
         find_mismatches(press, capture)
 

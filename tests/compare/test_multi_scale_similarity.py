@@ -82,7 +82,9 @@ def test_one_scale_formed_with_several_is_that_formed_apart(pair, missing):
 
 
 def test_wrong_input_is_refused(pair):
-    with pytest.raises(CompareError, match=r"images of one shape .* got \(192, 208, 3\) and \(100, 208, 3\)"):
+    with pytest.raises(
+        CompareError, match=r"images of the same shape .* got the shapes \(192, 208, 3\) and \(100, 208, 3\)"
+    ):
         multi_scale_similarity(pair[0], pair[1][:100], 255.0)
     with pytest.raises(CompareError, match="data range must be positive, got 0"):
         multi_scale_similarity(*pair, 0.0)

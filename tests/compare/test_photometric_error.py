@@ -222,13 +222,13 @@ def test_factors_stay_positive_whatever_their_tails_say():
 
 
 def test_no_region_is_refused(scene):
-    with pytest.raises(CompareError, match="no region to compare: give the contact region"):
+    with pytest.raises(CompareError, match="no region to compare is given; give the contact region"):
         compare(*scene, regions=())
 
 
 def test_other_grids_are_refused(scene):
     layers, captured = scene
-    with pytest.raises(CompareError, match="All images must have one shape"):
+    with pytest.raises(CompareError, match="All images must have the same shape"):
         compare(layers_of(layers.contact[:-1], layers.no_contact[:-1]), captured)
     small = Region("contact", np.ones((3, 3), bool), 1.0)
     with pytest.raises(CompareError, match=r"mask has shape \(3, 3\) but the images are 48 x 64 px"):

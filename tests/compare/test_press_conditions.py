@@ -24,23 +24,24 @@ def pair(rendered=None, **captured):
     [
         (
             {"shape": "ball", "radius_mm": 4.0},
-            r"strip presses a cylinder of radius 10 mm, capture of the strip a ball of radius 4 mm: simulate with the "
-            r"capture's indenter\.shape",
+            r"strip presses a cylinder of radius 10 mm, but capture of the strip presses a ball of radius 4 mm; "
+            r"simulate with the capture's indenter\.shape",
         ),
-        ({"shape": "mesh"}, "strip presses a cylinder of radius 10 mm, capture of the strip a mesh:"),
-        ({"radius_mm": 9.0}, r"a cylinder of radius 9 mm; the radii may differ by at most 2 %: .* indenter\.radius_mm"),
+        ({"shape": "mesh"}, "strip presses a cylinder of radius 10 mm, but capture of the strip presses a mesh;"),
+        (
+            {"radius_mm": 9.0},
+            r"a cylinder of radius 9 mm, and the radii may differ by at most 2 %; .* indenter\.radius_mm",
+        ),
         (
             {"depth_mm": 4.0},
-            r"strip is pressed 1\.5 mm deep, capture of the strip 4 mm; the depth may differ by at most 0\.05 mm: "
-            r"simulate "
-            r"with the capture's indenter\.depth_mm, or, .* state depth_uncertainty_mm in the capture",
+            r"strip is pressed 1\.5 mm deep but capture of the strip 4 mm, and the depth may differ by at most "
+            r"0\.05 mm\. Simulate with the capture's indenter\.depth_mm, or state depth_uncertainty_mm in the capture",
         ),
         ({"depth_mm": 1.8, "depth_uncertainty_mm": 0.09}, r"the depth may differ by at most 0\.27 mm"),
         (
             {"position_mm": 60.0},
-            r"strip is pressed 35 mm along the pad, capture of the strip 60 mm; the position may differ by at most "
-            r"0\.5 mm: "
-            r".* indenter\.position_mm, or, .* state position_uncertainty_mm",
+            r"strip is pressed 35 mm along the pad but capture of the strip 60 mm, and the position may differ by at "
+            r"most 0\.5 mm\. .* indenter\.position_mm, or state position_uncertainty_mm",
         ),
     ],
 )
@@ -87,7 +88,7 @@ def test_what_a_classic_sensor_presses_in_is_compared_too():
     )
     with pytest.raises(
         CompareError,
-        match=r"a ball of radius 4 mm, .* a ball of radius 3 mm; the radii may differ "
+        match=r"a ball of radius 4 mm, .* a ball of radius 3 mm, and the radii may differ "
         r"by at most 2 %",
     ):
         require_same_conditions(simulated, capture)

@@ -53,9 +53,9 @@ def test_usable_pixels_drop_what_is_not_finite_and_refuse_wrong_shapes():
     image[2, 3, 0] = np.inf
     everywhere = np.ones((3, 4), bool)
     assert usable_pixels(everywhere, image, np.ones_like(image)).sum() == 10
-    with pytest.raises(CompareError, match=r"one shape .* \(3, 4, 2\), \(3, 4, 3\)"):
+    with pytest.raises(CompareError, match=r"the same shape .* \(3, 4, 2\), \(3, 4, 3\)"):
         usable_pixels(everywhere, image, np.ones((3, 4, 3)))
-    with pytest.raises(CompareError, match=r"one shape .* \(3, 4\)"):
+    with pytest.raises(CompareError, match=r"the same shape .* \(3, 4\)"):
         usable_pixels(everywhere, np.ones((3, 4)))
     with pytest.raises(CompareError, match=r"mask has shape \(4, 3\) but the images are 3 x 4 px"):
         usable_pixels(everywhere.T, image)
@@ -81,5 +81,5 @@ def test_tile_side_shrinks_for_small_regions():
     assert tile_side_px(square) == 4
     small = disc((40, 40), (20, 20), 6.0)
     assert tile_indices(small, tile_side_px(small)).max() + 1 >= MINIMUM_TILES
-    with pytest.raises(CompareError, match=r"has 9 usable pixels; an interval needs at least 12"):
+    with pytest.raises(CompareError, match=r"has only 9 usable pixels, but an interval needs at least 12"):
         tile_side_px(np.ones((3, 3), bool))

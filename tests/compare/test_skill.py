@@ -85,5 +85,5 @@ def test_a_capture_without_contact_is_refused(scene):
 def test_weights_of_a_channel_without_light_are_refused(scene):
     no_contact, _, mask = scene
     no_contact[..., 2] = -0.5
-    with pytest.raises(CompareError, match=r"Channel 2 of the no-contact image has mean -0.5"):
+    with pytest.raises(CompareError, match=r"Channel 2 of the no-contact image has a mean of -0.5"):
         channel_weights(no_contact, mask)

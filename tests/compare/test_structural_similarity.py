@@ -63,9 +63,9 @@ def test_a_missing_pixel_spoils_only_the_windows_that_touch_it():
 
 def test_wrong_input_is_refused():
     image = np.ones((20, 20, 3))
-    with pytest.raises(CompareError, match=r"at least 11 x 11 px, got \(10, 20, 3\)"):
+    with pytest.raises(CompareError, match=r"at least 11 x 11 px, got the shapes \(10, 20, 3\)"):
         structural_similarity(image[:10], image[:10], 1.0)
-    with pytest.raises(CompareError, match=r"of one shape .* got \(20, 20, 3\) and \(20, 19, 3\)"):
+    with pytest.raises(CompareError, match=r"of the same shape .* got the shapes \(20, 20, 3\) and \(20, 19, 3\)"):
         structural_similarity(image, image[:, :19], 1.0)
     with pytest.raises(CompareError, match="data range must be positive, got 0"):
         structural_similarity(image, image, 0)

@@ -309,5 +309,5 @@ def test_a_decision_takes_the_error_through_the_curve(brighter):
     # without draws of its inputs a render is still compared, but says nothing for a decision
     without = compare_press(strip_press(), capture, seed=1)
     assert without.objective_error is None
-    with pytest.raises(DecideError, match="because the render holds no draws of its paints and camera"):
+    with pytest.raises(DecideError, match="because the render has no draws of its paints and camera"):
         decide(sweep(), [without], 1)

@@ -127,8 +127,8 @@ def test_a_capture_outside_the_sweep_validates_nothing(angle_deg, kept):
     if not kept:
         assert found == NO_CAPTURES
         assert notes == (
-            f"far is left out: its light was at {angle_deg:g} deg, outside the sweep (0 to 120 deg), so it does "
-            "not validate the decision",
+            f"far is left out and does not validate the decision, because its light was at {angle_deg:g} deg, outside "
+            "the sweep (0 to 120 deg)",
         )
 
 
@@ -141,7 +141,7 @@ def test_what_the_checks_found_and_other_paints_are_told():
     _, notes = capture_errors(sweep, reports)
     assert notes == (
         "a: the camera has drifted: 4 px",
-        f"the green paint of the sweep (SHA-256 {green}) is not named by the reports on a, b: their renders may have "
+        f"the reports on a, b do not name the green paint of the sweep (SHA-256 {green}), so their renders may have "
         "another paint",
     )
 
@@ -152,8 +152,8 @@ def test_an_error_of_the_papers_emitter_says_nothing_about_the_angle(emitter):
         update={"label": f"rendered, level a ({emitter}), llvm_ad_rgb"}
     )
     with pytest.raises(
-        DecideError, match=r"the report on a belongs to a render by level a \('rendered, .*\), but the sweep was "
-        r"rendered by level b: .* emit the same at every angle .* --level b",
+        DecideError, match=r"the report on a belongs to a render of level a \('rendered, .*\), whose walls emit "
+        r"the same at every angle of the light, so .* a sweep of level b\. Simulate the press with --level b",
     ):  # fmt: skip
         capture_errors(sweep_record(), [of_level_a])
 
@@ -188,25 +188,27 @@ def test_no_report_is_no_capture():
 
 def test_what_would_mislead_is_refused():
     good = report("a", 30.0, objective_error(np.zeros(3)))
-    with pytest.raises(DecideError, match=r"two reports are on the capture 'a': .* Give one report for each capture"):
+    with pytest.raises(
+        DecideError,
+        match=r"two reports are on the capture 'a', which would count twice. Give one report for each capture",
+    ):
         capture_errors(sweep_record(), [good, report("b", 30.0, objective_error(np.zeros(3))), good])
     with pytest.raises(
-        DecideError, match=r"b is relative: .* Compare again without --relative, or leave out the report"
+        DecideError,
+        match=r"b is relative, so it judges only .* Compare again without --relative, or leave the report out",
     ):
         capture_errors(sweep_record(), [good.model_copy(update={"captured": "b", "relative": True})])
-    with pytest.raises(DecideError, match=r"b carries no brightness error, because its values are 'encoded values"):
+    with pytest.raises(DecideError, match=r"b contains no brightness error, because its values are 'encoded values"):
         capture_errors(sweep_record(), [good, report("b", 30.0, None)])
     unknown = report("b", 30.0, None).model_copy(update={"values": "linear light"})
-    with pytest.raises(
-        DecideError, match=r"b carries no brightness error, because the render holds no draws .*--paint"
-    ):
+    with pytest.raises(DecideError, match=r"b contains no brightness error, because the render has no draws .*--paint"):
         capture_errors(sweep_record(), [good, unknown])
     with pytest.raises(
-        DecideError, match=r"b names no angle of the light, .* write light_angle_deg \(-180 to 180 deg\)"
+        DecideError, match=r"b does not state the angle of the light, .* write light_angle_deg \(-180 to 180 deg\)"
     ):
         capture_errors(sweep_record(), [good, report("b", None, objective_error(np.zeros(3)))])
     forced = report("b", 40.0, objective_error(np.zeros(3)), 1.0, ("channel order: as BGR",), forced_mismatch=True)
     with pytest.raises(
-        DecideError, match=r"b was made despite a mismatch, .*\(channel order: as BGR\): correct the capture"
+        DecideError, match=r"b was made despite a mismatch \(channel order: as BGR\), .*; correct the capture"
     ):
         capture_errors(sweep_record(), [good, forced])

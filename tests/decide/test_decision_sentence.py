@@ -146,8 +146,8 @@ def test_what_others_would_have_chosen_is_said_with_its_cost():
 def test_a_decision_on_the_normal_tells_the_error_and_its_places():
     found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
     assert found == (
-        "For now, mount the light at -25 \u00b1 6 deg: as simulated, the error of the sensed normal at each of the 2 "
-        "places from 8 to 12 mm is at most 25 % above that at its own best angle, and 14 % on average over them."
+        "For now, mount the light at -25 \u00b1 6 deg: as simulated, at each of the 2 places from 8 to 12 mm the error "
+        "of the sensed normal is at most 25 % larger than at that place's best angle, and 14 % on average over them."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
         "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "

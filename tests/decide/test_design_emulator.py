@@ -136,7 +136,7 @@ def test_designs_that_cannot_be_built_are_left_out() -> None:
     rng = np.random.default_rng(0)
     assert next_design([fitted], np.ones(1), rng, half)[0] < 0.5
     assert 0.4 < best_design([fitted], np.ones(1), rng, half)[0] < 0.5
-    with pytest.raises(CompareError, match="only 0 can be built; give narrower limits"):
+    with pytest.raises(CompareError, match=r"only 0 of \d+ tried designs .* give narrower limits"):
         screening_designs(2, 4, 3, lambda x: False)
 
 

@@ -54,7 +54,10 @@ def test_what_makes_no_other_finger_is_taken(design):
 )
 def test_another_finger_is_refused_and_both_are_named(design, parts):
     design = design.model_copy(update={"name": "other finger"})
-    with pytest.raises(DecideError, match=rf"on the finger 'other finger', the sweep 'hill' on '.*', .* in {parts}:"):
+    with pytest.raises(
+        DecideError,
+        match=rf"on the finger 'other finger', but the sweep 'hill' is on the finger '.*', which differs in {parts},",
+    ):
         require_one_finger([sweep()], [report_on(DESIGN), report_on(design)])
 
 
@@ -112,5 +115,5 @@ def test_from_a_comparison_to_the_refusal():
     assert report.finger == finger_identity(DESIGN)
     assert decide(sweep(), [report], 1).validated
     other = simulated.model_copy(update={"design": changed("pad", thickness_mm=4.0)})
-    with pytest.raises(DecideError, match="they differ in pad"):
+    with pytest.raises(DecideError, match="which differs in pad"):
         decide(sweep(), [compare_press(other, capture_of(other, 50.0), 1)], 1)

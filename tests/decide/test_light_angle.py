@@ -237,14 +237,22 @@ def test_claims_hold_with_captures(case):
 @pytest.mark.parametrize(
     ("angles", "values", "message"),
     [
-        ([0, 10, 20], np.ones((3, 2)), r"has 3 angles; at least 4 are needed"),
-        ([0, 20, 10, 30], np.ones((4, 2)), r"must increase and occur once each, got \[0.0, 20.0, 10.0, 30.0\] deg"),
-        ([0, 10, 10, 30], np.ones((4, 2)), r"must increase and occur once each"),
-        ([0, 10, np.nan, 30], np.ones((4, 2)), r"must increase and occur once each"),
-        ([0, 10, 20, 30], np.ones((4, 1)), r"shape \(4, 1\) for 4 angles; .* at least 2 repeats"),
+        ([0, 10, 20], np.ones((3, 2)), r"has only 3 angles, but at least 4 are needed"),
+        ([0, 20, 10, 30], np.ones((4, 2)), r"must be strictly increasing, got \[0.0, 20.0, 10.0, 30.0\] deg"),
+        ([0, 10, 10, 30], np.ones((4, 2)), r"must be strictly increasing"),
+        ([0, 10, np.nan, 30], np.ones((4, 2)), r"must be strictly increasing"),
+        ([0, 10, 20, 30], np.ones((4, 1)), r"shape \(4, 1\) for 4 angles, .* at least 2 repeats"),
         ([0, 10, 20, 30], np.ones((5, 2)), r"shape \(5, 2\) for 4 angles"),
-        ([0, 10, 20, 30], np.array([[1, 1], [1, np.nan], [1, 1], [1, 1]]), r"at 10 deg is not a positive number"),
-        ([0, 10, 20, 30], np.array([[1, 1], [1, 1], [1, 0.0], [1, 1]]), r"at 20 deg is not a positive number"),
+        (
+            [0, 10, 20, 30],
+            np.array([[1, 1], [1, np.nan], [1, 1], [1, 1]]),
+            r"must be finite and positive, but .* at 10 deg",
+        ),
+        (
+            [0, 10, 20, 30],
+            np.array([[1, 1], [1, 1], [1, 0.0], [1, 1]]),
+            r"must be finite and positive, but .* at 20 deg",
+        ),
     ],
 )
 def test_a_sweep_that_allows_no_decision_is_refused(angles, values, message):

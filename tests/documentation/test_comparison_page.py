@@ -313,7 +313,7 @@ def test_large_noisy_images_make_no_large_page():
 def test_a_render_off_the_grid_of_the_capture_is_refused():
     small = PRESS.model_copy(update={"contact": PRESS.contact[:50]})
     with pytest.raises(
-        RecordError, match=r"render has 128 x 50 px, but the capture 128 x 96 px; give the render on the"
+        RecordError, match=r"render has 128 x 50 px, but the capture has 128 x 96 px; give the render on the"
     ):
         page_of(press=small)
 

@@ -127,7 +127,7 @@ def test_what_to_do_next_does_not_contradict_the_verdict():
     nothing = {"next_render": None, "next_capture": None}
     several = example_decision("needs captures").model_copy(update={**nothing, "contacts": (contact, contact)})
     (told,) = words.next_sentences(several)
-    assert told.startswith("Next capture: no single one is expected to change the angle. Several ")
+    assert told.startswith("Next capture: no single capture is expected to change the angle. Several ")
     normal = several.model_copy(update={"aim": "normal"})
     assert "not by the error of the normal" in " ".join(words.next_sentences(normal))
     assert words.next_sentences(DECISION.model_copy(update=nothing)) == (
@@ -391,5 +391,5 @@ def test_the_map_needs_a_decision_that_holds_one():
     assert "<svg" in contacts_figure(over_places(contacts=same))
     deep = (same[0], same[1].model_copy(update={"depth_mm": 3.0, "across_mm": 2.0, "shape": "ball"}))
     assert words.touch_text(deep[1], deep) == "8 mm, 2 mm across, 3 mm deep, ball"
-    with pytest.raises(ValueError, match="holds no map; decide again on its sweeps"):
+    with pytest.raises(ValueError, match="contains no map over angle and touch; decide again on the same sweeps"):
         contacts_figure(DECISION)

@@ -199,5 +199,5 @@ def test_results_without_a_paint_or_a_stage_are_refused() -> None:
     with pytest.raises(RecordError, match=r"wall times \(s\) must be given for each of the stages .* got \['fit'\]"):
         replace(results, stage_wall_times_s={"fit": 1.0})
     region = results.report.model_copy(update={"headline_region": "elsewhere"})
-    with pytest.raises(RecordError, match="headline region 'elsewhere' is not among its regions"):
+    with pytest.raises(RecordError, match="headline region 'elsewhere' is not among the regions of the report"):
         demo_report(replace(results, report=region))

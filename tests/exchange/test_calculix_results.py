@@ -43,12 +43,12 @@ def test_a_frame_that_breaks_off_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        (HEAD + NODES, "holds no field DISP or CONTACT"),
+        (HEAD + NODES, "contains no field DISP or CONTACT"),
         (
             HEAD + FIRST.replace("-5.00000E-01", "-5.00000E-0x"),
             "a value of the field DISP at time 0.333333 is not a number",
         ),
-        (HEAD + FIRST.replace(" 1.50000E+00", " 1.50000E+0"), "must hold a node and values of 12 columns"),
+        (HEAD + FIRST.replace(" 1.50000E+00", " 1.50000E+0"), "must contain a node and values of 12 columns"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, match):
@@ -83,7 +83,7 @@ def test_totals_by_quantity_and_set(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("\n", "holds no totals of sets"), (DAT.replace("-2.083231", "-2.08x"), "line 2: the total is no")],
+    [("\n", "contains no totals of sets"), (DAT.replace("-2.083231", "-2.08x"), "line 2: the total is no")],
 )
 def test_other_totals_are_refused(tmp_path, text, match):
     path = tmp_path / "x.dat"
@@ -108,5 +108,5 @@ def test_increments_that_converged(tmp_path):
 def test_totals_of_uneven_length_are_refused(tmp_path):
     path = tmp_path / "x.dat"
     path.write_text(DAT.replace("-4.236760E+00 -7.895768E-02", "-4.236760E+00"))
-    with pytest.raises(ImportFormatError, match="totals of force of INDENTER differ in their number of values"):
+    with pytest.raises(ImportFormatError, match="totals of force of INDENTER must all have the same number of values"):
         read_totals(path)

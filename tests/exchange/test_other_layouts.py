@@ -229,7 +229,9 @@ def test_encoded_values_on_two_scales_are_not_compared(tmp_path, captures, of_re
     if is_compared:
         assert np.isfinite(compare_press(press, capture, seed=1).headline_skill.estimate)
         return
-    with pytest.raises(CompareError, match=rf"at [\d.e+-]+, those of 1 at .*: write the render .* have {bits} bits"):
+    with pytest.raises(
+        CompareError, match=rf"at [\d.e+-]+, but those of 1 are at .*; write the render .* have {bits} bits"
+    ):
         compare_press(press, capture, seed=1)
 
 
@@ -249,7 +251,7 @@ def grey(image):
 
 def test_a_grey_render_is_compared_with_light_that_is_white_up_to_noise_but_not_with_colours(tmp_path, captures):
     found = read_renders(renders_of(tmp_path / "r", change=grey), captures)["1"]
-    with pytest.raises(CompareError, match=r"1 is grey, and the capture 1 has colours; render in colour"):
+    with pytest.raises(CompareError, match=r"1 is grey, but the capture 1 has colours; render in colour"):
         compare_press(found, captures["1"], seed=1)
     unchanged = found.model_copy(update={"contact": found.no_contact})
     assert compare_press(unchanged, captures["1"], seed=1).headline_skill.estimate == pytest.approx(0.0, abs=1e-9)

@@ -146,7 +146,7 @@ def test_presses_stay_on_the_pad_and_test_what_was_not_taught(sensor):
 def test_a_small_pad_is_refused_with_the_size_that_is_enough():
     pad = GelPad(length_mm=6.0, width_mm=6.0, thickness_mm=1.0)
     tiny = PlainSensor(name="tiny", pad=pad, indenter=Indenter(shape="ball", radius_mm=1.0, position_mm=3.0))
-    with pytest.raises(RecordError, match=r"a pad of at least 6\.7 mm"):
+    with pytest.raises(RecordError, match=r"the pad must be at least 6\.7 mm"):
         press_protocol(tiny)
 
 

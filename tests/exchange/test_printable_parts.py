@@ -234,18 +234,18 @@ def test_flat_neighbours_become_one_face():
 def test_surfaces_that_bound_no_solid_are_refused():
     corners = np.array([(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], dtype=np.float64)
     quads = boundary_quads(np.arange(8)[None]).quads
-    with pytest.raises(SimulateError, match="the surface is open, or pinched to an edge"):
+    with pytest.raises(SimulateError, match="the surface is open or pinched to an edge"):
         planar_solid(corners, quads[:-1])
     # a second cube that shares one upright edge only
     beyond = np.concatenate([corners, corners + np.array([1.0, 1.0, 0.0])])
     second = np.array([2, 9, 10, 11, 6, 13, 14, 15])
-    with pytest.raises(SimulateError, match="pinched to an edge: two faces must meet at every edge"):
+    with pytest.raises(SimulateError, match="pinched to an edge, but two faces must meet at every edge"):
         planar_solid(beyond, np.concatenate([quads, boundary_quads(second[None]).quads]))
     corners[6] += [0.0, 0.0, 0.1]
     with pytest.raises(SimulateError, match=r"warped by 0\.0\d+ mm"):
         planar_solid(corners, quads)
     plane = Plane(corners[0], np.array([0.0, 0.0, 1.0]))
-    with pytest.raises(SimulateError, match="the solid is not closed: two faces must meet at every edge"):
+    with pytest.raises(SimulateError, match="the solid is not closed; two faces must meet at every edge"):
         Solid(corners[:2], (Edge(0, 1),), (Face(plane, (((0, True),),)),))
 
 
@@ -286,12 +286,12 @@ def test_what_cannot_be_printed_or_written_is_told_before_anything_is_written(tm
     design = tmp_path / "finger.toml"
     for text, arguments, message in (
         (FLAT + "[skeleton]\nrib_count = 40\nrib_thickness_mm = 1.8\n", "", r"finger.toml: .*overlap or nearly touch"),
-        (FLAT, "--lining-mm -1", "lining_mm = -1 of a mould must be 0 to 1 mm"),
-        (FLAT, "--lining-mm nan", "lining_mm = nan of a mould must be 0 to 1 mm"),
+        (FLAT, "--lining-mm -1", "lining_mm of a mould .* must be from 0 to 1 mm, got -1 mm"),
+        (FLAT, "--lining-mm nan", "lining_mm of a mould .* must be from 0 to 1 mm, got nan mm"),
         (
             'preset = "ellipsoidal-30-8-90"\n',
             "--lining-mm 0.1",
-            r"lining_mm = 0.1: a sheet cannot be bent to pad.shape = ellipsoidal",
+            r"lining_mm = 0.1 mm is not supported, because a sheet cannot be bent to pad.shape = ellipsoidal",
         ),
     ):
         design.write_text(text)

@@ -503,7 +503,8 @@ def test_a_press_that_taught_is_not_predicted_under_another_name(tmp_path, monke
     assert sorted(p.name for p in (tmp_path / "set").glob("*.press.json")) == [f"000{k}.press.json" for k in (3, 4, 5)]
     captures = read_by_recipe(folder, shipped("fots-gelsight")).captures
     with pytest.raises(
-        CompareError, match=r"0002: its contact image was used to train the table \(0001\), so the table's prediction"
+        CompareError,
+        match=r"0002: the table was trained on this contact image \(training presses: 0001\), so the table",
     ):
         predict_press(train_table([captures["0001"]]), captures["0002"])
 

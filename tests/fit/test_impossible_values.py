@@ -61,7 +61,8 @@ def test_a_paint_that_emits_more_than_falls_on_it_is_refused(bands):
 def test_swapped_paints_are_refused():
     files = {"red": "a.json", "green": "b.json"}
     with pytest.raises(
-        SimulateError, match=r"red=a\.json emits most at 516 nm, below green=b\.json at 597 nm: .*swapped.* give --x if"
+        SimulateError,
+        match=r"look swapped, because red=a\.json emits most at 516 nm, below green=b\.json at 597 nm.* give --x if",
     ):
         require_paints_in_order({"red": 516.0, "green": 597.0}, files, "--x")
     require_paints_in_order({"red": 597.0, "green": 516.0}, files, "--x")

@@ -175,7 +175,7 @@ def test_a_path_that_holds_an_option_is_told_as_it_is(tmp_path):
 
 def test_errors_of_the_library_name_arguments():
     twice = [sweep(), sweep()]
-    with pytest.raises(DecideError, match="Give each sweep once, and its weight by weights"):
+    with pytest.raises(DecideError, match="Give each sweep only once, and its weight by weights"):
         finray.decide_light_angle(twice)
     with pytest.raises(DecideError, match=r"simulate them with all_objectives=True, .* \(aim='brightness'\)"):
         finray.decide_light_angle(sweep(), aim="normal")

@@ -137,7 +137,7 @@ def test_swapped_paints_are_refused_unless_meant(lab, paint):
     bluer = paint.model_copy(update={"parameters": {**paint.parameters, "mode_nm": shifted}})
     with pytest.raises(
         SimulateError,
-        match=r"look swapped\. Exchange them, or give --paints-as-given \(from Python paints_as_given=True\)",
+        match=r"look swapped.* Exchange the paints, or give --paints-as-given \(from Python paints_as_given=True\)",
     ):
         finray.render_press(lab / "finger.toml", red=bluer, green=paint)
     press = finray.render_press(
@@ -288,7 +288,9 @@ def test_one_capture_under_two_names_does_not_count_twice(lab):
     again = capture.model_copy(update={"name": "again"})
     finger = finray.finger_design()
     sensor = PlainSensor(pad=finger.pad, indenter=finger.indenter)
-    with pytest.raises(SimulateError, match=f"again holds the same picture as {capture.name}: it would count twice"):
+    with pytest.raises(
+        SimulateError, match=f"again contains the same picture as {capture.name}, which would count twice"
+    ):
         finray.fit_sensor(sensor, [capture, again])
 
 
@@ -321,7 +323,7 @@ def test_texts_dicts_and_sets_are_no_lists_of_numbers(lab, paint):
         with pytest.raises(SimulateError, match="must be a list of finite angles in deg"):
             finray.sweep_light_angle(lab / "finger.toml", angles_deg, red=paint, green=paint)
     for weights in ("1", {1: "a"}, {1.0}):
-        with pytest.raises(DecideError, match="give one number above 0 for each sweep, in their order"):
+        with pytest.raises(DecideError, match="give one number above 0 for each sweep, in the order of the sweeps"):
             finray.decide_light_angle(lab / "sweep.json", weights=weights)
     for several in ({lab / "bands.json": 1}, {lab / "bands.json"}):
         with pytest.raises(RecordError, match="bands: must be a list"):

@@ -292,7 +292,7 @@ def test_mistakes_in_a_design_are_told(tmp_path, table, told):
         ("def energy_mpa(stretches):\n    return 1 / 0\n", r"fails \(ZeroDivisionError: division by zero\)"),
         (
             "def energy_mpa(stretches):\n    return stretches\n",
-            r"does not return a tuple of energy, gradient",
+            r"must return a tuple of energy, gradient",
         ),
         ("def energy_mpa(s):\n    return s[:, 0], s, s\n", r"returns its second derivative of shape \(1, 3\), where"),
         ("def energy_mpa(s):\n    return s[:, 0] / 0.0, s, s[:, :, None] * s[:, None]\n", r"energy that is not finite"),
@@ -325,7 +325,7 @@ def test_material_that_breaks_its_contract_is_refused(old, new, told):
 def test_unstable_material_is_refused():
     with pytest.raises(SimulateError, match=r"is unstable \(Drucker\) under uniaxial load at a stretch of"):
         check_material_law(page_module("my_yeoh"), c1_mpa=0.1333, c2_mpa=-0.1)
-    with pytest.raises(SimulateError, match=r"initial shear modulus of -0\.2666 MPa, which must be positive"):
+    with pytest.raises(SimulateError, match=r"initial shear modulus of .* must be positive, got -0\.2666 MPa"):
         check_material_law(page_module("my_yeoh"), c1_mpa=-0.1333)
 
 
@@ -348,7 +348,11 @@ def test_unstable_material_is_refused():
             "is not a closed body around",
         ),
         ("return length - self.radius_mm,", "return length[:-1],", r"returns distances of shape \(400,\), where"),
-        ("return Capsule(radius_mm, half_length_mm)", "return 7", "returns a int as its body, which lacks distances"),
+        (
+            "return Capsule(radius_mm, half_length_mm)",
+            "return 7",
+            "returns a int as its body, but a body must have distances",
+        ),
     ],
 )
 def test_indenter_that_breaks_its_contract_is_refused(old, new, told):
@@ -366,7 +370,7 @@ def test_body_that_a_ray_leaves_twice_is_refused():
 
     two_balls = SimpleNamespace(body=lambda: SimpleNamespace(distances=distances))
     with pytest.raises(
-        SimulateError, match=r"is not fully visible from its origin: \d+ of 400 rays leave the body more"
+        SimulateError, match=r"is not fully visible from its origin, because \d+ of 400 rays leave the body more"
     ):
         check_indenter_shape(two_balls)
 
@@ -391,7 +395,7 @@ def body():
     install(site, "sharp", {"finray_calib.indenter_shapes": {"cube": "sharp_cube"}}, sharp_cube=source)
     indenter = rigid_indenter(FingerDesign(indenter=Indenter(shape="cube", depth_mm=0.5)))
     assert 0.02 < indenter.surface_off_mm < 1.0
-    with pytest.raises(SimulateError, match=r"has sharp edges, and at most 0\.02 mm is allowed where triangles are"):
+    with pytest.raises(SimulateError, match=r"has sharp edges, but at most 0\.02 mm is allowed where triangles are"):
         indenter.check_surface()
 
 
@@ -421,8 +425,8 @@ def test_pad_that_breaks_its_contract_is_refused(old, new, told):
             'BETTER = "higher"',
             "0 for the captured image itself and .* declares that higher is better",
         ),
-        ('BETTER = "lower"', 'BETTER = "less"', "has BETTER = 'less', where"),
-        ('UNIT = "1"', "UNIT = 1", "has UNIT = 1, where a text is needed"),
+        ('BETTER = "lower"', 'BETTER = "less"', "has BETTER = 'less', but"),
+        ('UNIT = "1"', "UNIT = 1", "has UNIT = 1, but the value must be a non-empty text"),
         ("(candidate - captured)[region]", "(candidate - captured)", "depends on pixels outside the region"),
         ("return float(", "candidate[0] = 0.0\n    return float(", "changes the images that it is given"),
         ("return float(", "return None and float(", "returns .* as value|value of shape|not finite"),
@@ -455,7 +459,7 @@ def test_deck_refuses_what_it_cannot_hold(parts, tmp_path):
         ),
         (
             '[indenter]\nshape = "capsule"\nparameters = { radius_mm = 6.0 }',
-            r'indenter.shape = "capsule": an input deck of CalculiX or Abaqus can contain',
+            r'indenter.shape = "capsule" is not supported, because an input deck of CalculiX or Abaqus can contain',
         ),
     ):
         (tmp_path / "finger.toml").write_text(f"{SMALL}{table}\n")
@@ -466,5 +470,5 @@ def test_deck_refuses_what_it_cannot_hold(parts, tmp_path):
 
 def test_stiff_parts_keep_their_element():
     """A law of another package may use both elements; a linear elastic material still needs incompatible modes."""
-    with pytest.raises(SimulateError, match="asks for mean dilatation with the linear elastic material"):
+    with pytest.raises(SimulateError, match="asks for mean dilatation, which is only for"):
         Elasticity(unit_cells(1, 1, 1).mesh("mean_dilatation"), {"material": LinearElastic(1500.0, 0.38)})

@@ -127,7 +127,7 @@ def test_records_are_drawn(results, example, tmp_path):
             assert kind == {".svg": "image/svg+xml", ".png": "image/png"}[suffix]
             assert shown
     assert "save(path)" in repr(plot)
-    with pytest.raises(RecordError, match=r"this drawing is PNG; choose a name that ends in \.png"):
+    with pytest.raises(RecordError, match=r"the name must end in \.png, because this drawing is PNG"):
         plot.save(tmp_path / "plot.pdf")
     with pytest.raises(RecordError, match=r"0\.png.*exists"):
         plot.save(tmp_path / "0.png")

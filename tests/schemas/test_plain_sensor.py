@@ -67,10 +67,10 @@ def opened(path):
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ('kind = "glove"\n', RecordError, r"kind = 'glove' must be 'finger' or 'sensor'"),
+        ('kind = "glove"\n', RecordError, r"kind must be 'finger' or 'sensor', got 'glove'"),
         ('kind = "sensor"\npreset = 3\n', RecordError, "must be the name of a ready-made sensor"),
-        ('kind = "sensor"\npreset = "flat-70x35"\n', RecordError, 'is a finger; leave out kind = "sensor"'),
-        ('kind = "sensor"\npreset = "nose"\n', SimulateError, "no preset sensor 'nose'; there are gelsight-flat"),
+        ('kind = "sensor"\npreset = "flat-70x35"\n', RecordError, '; leave out kind'),
+        ('kind = "sensor"\npreset = "nose"\n', SimulateError, "no preset sensor 'nose'; valid names are gelsight-flat"),
         ('kind = "sensor"\nlight = 3\n', RecordError, r"'light': unknown key; did you mean 'lights'"),
         ('kind = "sensor"\nlights = []\n', RecordError, "at least 1"),
         ('kind = "sensor"\nwall_reflectance = 1.5\n', RecordError, "must be at most 1"),

@@ -68,7 +68,7 @@ def test_chains_that_were_left_out_must_stay_weak():
 
 def test_a_changed_reflectance_needs_a_render():
     require_same_reflectance(BEFORE, {name: values + 0.009 for name, values in BEFORE.items()})
-    with pytest.raises(SimulateError, match=r"green paint's reflectance in the led band went from 0.250 to 0.270"):
+    with pytest.raises(SimulateError, match=r"green paint's reflectance in the led band changed from 0.250 to 0.270"):
         require_same_reflectance(BEFORE, {**BEFORE, "green": BEFORE["green"] + [0.0, 0.0, 0.02]})
 
 

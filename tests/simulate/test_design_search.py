@@ -46,9 +46,9 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
         ("light.angel_deg=0:60", "'light.angel_deg' is not a field of a design; 'finray design init' writes a file"),
         ("angle", "'angle' is not a field of a design, such as light.angle_deg"),
         ("light.angle_deg=0-60", "must be FIELD=LOW:HIGH, such as light.angle_deg=0:60"),
-        ("light.angle_deg=60:0", "must be two finite numbers, the lower one first"),
+        ("light.angle_deg=60:0", "must be two finite numbers LOW:HIGH with LOW below HIGH"),
         ("light.angle_deg=0:nan", "must be two finite numbers"),
-        ("light.angle_deg=40:60", "light.angle_deg = 30 of the design lies outside 40 to 60"),
+        ("light.angle_deg=40:60", "light.angle_deg must include the design's own value of 30"),
         ("light.angle_deg=0:300", "light.angle_deg = 300 is not possible"),
         ("light.position_mm=-14:-7", "for a place, name its coordinate, as in light.position_mm[y]"),
         ("camera.position_mm[y]=-14:-7", "write it into the design file first"),
@@ -125,7 +125,7 @@ def test_the_search_finds_the_optimum_and_leaves_failures_alone() -> None:
 
 
 def test_too_few_evaluations_are_refused() -> None:
-    with pytest.raises(SimulateError, match="12 are too few for 2 parameters; give 13 or more"):
+    with pytest.raises(SimulateError, match="12 are too few for 2 parameters; give at least 13"):
         search_designs(space("light.angle_deg", "pad.thickness_mm"), [ERROR], evaluated, 12, seed=1)
 
 
@@ -136,7 +136,7 @@ def test_the_screen_may_be_given_its_size() -> None:
     for screened in (8, 29):
         with pytest.raises(
             SimulateError,
-            match=f"--screen: {screened} is not possible; with 30 evaluations and 2 parameters, 9 to 28 are allowed",
+            match=f"--screen: must be from 9 to 28 with 30 evaluations and 2 parameters, got {screened}",
         ):
             search_designs(varied, [ERROR], evaluated, 30, seed=3, screened=screened)
 

@@ -114,14 +114,14 @@ def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
             vary("light.angel_deg", [1.0]),
             r"point 1 \(light\.angel_deg = 1\.0\): 'light\.angel_deg' is not a field of a d",
         ),
-        (vary("second_light.angle_deg", [1.0]), r"is not a field of this finger: it has no \[second_light\]"),
+        (vary("second_light.angle_deg", [1.0]), r"is not a field of this finger, because it has no \[second_light\]"),
         (
             vary("pad.length_mm", [-3.0]),
             r"point 1 \(pad\.length_mm = -3\.0\): 'pad\.length_mm' \(in mm\): must be",
         ),
-        (vary("preset", ["flat"]), r"there is no preset design 'flat'; there are flat-70x35"),
-        (vary("preset", [3]), r"preset = 3 must be the name of a ready-made finger"),
-        (vary("seed", [-1]), r"seed = -1 must be a whole number from 0"),
+        (vary("preset", ["flat"]), r"there is no preset design 'flat'; valid names are flat-70x35"),
+        (vary("preset", [3]), r"preset must be the name of a ready-made finger, got 3"),
+        (vary("seed", [-1]), r"seed must be a whole number of 0 or more, got -1"),
     ],
 )
 def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text, message):
@@ -159,7 +159,7 @@ def test_a_plan_that_contradicts_itself_is_refused(tmp_path, text, message):
 
 def test_a_plan_that_is_not_there_names_those_that_come_with_the_package():
     with pytest.raises(
-        RecordError, match=r"no such plan; give a plan file \(TOML\), or one of the shipped plans: everyday-objects, f"
+        RecordError, match=r"no such plan; give a plan file \(TOML\) or one of the shipped plans, everyday-objects, f"
     ):
         read_plan("pads.toml")
 

@@ -397,7 +397,7 @@ def test_impossible_numbers_are_refused_in_the_design(build, message):
         (with_skeleton(rib_count=40, rib_thickness_mm=1.6), "rib_count = 40, rib_spacing_mm = 1.92"),
         (with_skeleton(rib_spacing_mm=20.0), "the base and rib 1 of the skeleton overlap"),
         (with_skeleton(rib_spacing_mm=13.5, rib_angle_deg=60.0), "rib 6 and the tip"),
-        (with_skeleton(width_mm=42.0), "width_mm = 42 mm is too narrow: .* at least 44 mm"),
+        (with_skeleton(width_mm=42.0), "width_mm = 42 mm is too narrow, .* at least 44 mm"),
         (
             with_skeleton(flange_mm=5.0),
             r"flange_mm = 5 mm reaches beyond the front fin, .* is [\d.]+ mm; make flange_mm at most [\d.]+",
@@ -465,9 +465,9 @@ def test_the_mould_is_its_block_less_the_pad(name):
 
 
 def test_stl_is_refused_where_it_could_not_be_read():
-    with pytest.raises(SimulateError, match="no part backing; it has skeleton, base_plate, mirror"):
+    with pytest.raises(SimulateError, match="no part backing; its parts are skeleton, base_plate, mirror"):
         part_stl(preset_design("original-60x22"), "backing")
-    with pytest.raises(SimulateError, match="wall_mm = 0 and floor_mm = 1"):
+    with pytest.raises(SimulateError, match="wall_mm and floor_mm of a mould must be positive, got 0 and 1 mm"):
         mould_stl(DESIGN, wall_mm=0.0, floor_mm=1.0)
     for title in ("solid finger", "x" * 81, "F\u00fcnger"):
         with pytest.raises(SimulateError, match="title of an STL file"):

@@ -162,7 +162,9 @@ def gel():
 def test_an_open_gel_is_refused_and_the_hole_named():
     surfaces = gel()
     del surfaces["tip"]
-    with pytest.raises(SimulateError, match=r"gel is not closed: .* edges are open .* at coat \(2\), inner \(2\)"):
+    with pytest.raises(
+        SimulateError, match=r"gel is not closed, because .* edges are open .* at coat \(2\), inner \(2\)"
+    ):
         check_closed(surfaces)
 
 
@@ -180,7 +182,7 @@ def test_a_triangle_that_stands_twice_is_refused(ways):
     tip = surfaces["tip"]
     more = [tip.triangles[:1, ::way] for way in ways]
     surfaces["tip"] = Surface(tip.vertices_mm, np.vstack([tip.triangles, *more]), tip.uv)
-    with pytest.raises(SimulateError, match=r"gel is not closed: .* at .*tip \("):
+    with pytest.raises(SimulateError, match=r"gel is not closed, because .* at .*tip \("):
         check_closed(surfaces)
 
 
@@ -193,7 +195,7 @@ def test_a_shape_without_mirror_or_with_too_few_distances_is_refused():
     shape = pressed_shape(DESIGN)
     with pytest.raises(SimulateError, match="lacks the surfaces mirror"):
         FingerShape(gel(), shape.contact_distance, "no mirror")
-    with pytest.raises(SimulateError, match="one value per vertex of the coat"):
+    with pytest.raises(SimulateError, match="one value for each vertex of the coat"):
         FingerShape(shape.surfaces, np.zeros(3), "short")
 
 
@@ -201,8 +203,8 @@ def test_a_shape_without_mirror_or_with_too_few_distances_is_refused():
     ("change", "message"),
     [
         ({"vertices_mm": np.full((3, 3), np.nan)}, "vertices_mm must be finite"),
-        ({"uv": np.zeros((2, 2))}, "a texture coordinate per vertex"),
-        ({"triangles": np.array([[0, 1, 3]])}, "must name vertices 0 to 2"),
+        ({"uv": np.zeros((2, 2))}, "one texture coordinate for each vertex"),
+        ({"triangles": np.array([[0, 1, 3]])}, "must name only vertices from 0 to 2"),
     ],
 )
 def test_a_broken_surface_is_refused(change, message):

@@ -49,11 +49,11 @@ def test_band_matrices_are_checked(llvm):
     from sim.optics._fluorescent_paths import fluorescent_bands
 
     scene = llvm.load_dict(llvm.cornell_box())
-    with pytest.raises(SimulateError, match="paint red: the band matrix must be 3 x 3 numbers >= 0"):
+    with pytest.raises(SimulateError, match="paint red: the band matrix must be 3 x 3 finite numbers of 0 or more"):
         fluorescent_bands(scene, {"red": np.eye(2)})
     with pytest.raises(SimulateError, match=r"paint red returns 1\.100 times the energy of one band"):
         fluorescent_bands(scene, {"red": 1.1 * np.eye(3)})
-    with pytest.raises(SimulateError, match=r"no surface .* the id purple; the scene has .*green, .*red"):
+    with pytest.raises(SimulateError, match=r"no surface .* the id purple; valid ids are .*green, .*red"):
         fluorescent_bands(scene, {"purple": np.eye(3)})
 
 

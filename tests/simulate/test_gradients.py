@@ -101,7 +101,7 @@ def test_automatic_and_full_differences_agree_where_the_mirror_returns_light(llv
 
 def test_refusals(scalar, paints):
     design = FingerDesign()
-    with pytest.raises(SimulateError, match="'angle' is not one of angle_deg"):
+    with pytest.raises(SimulateError, match=r"must be among angle_deg.*, got 'angle'"):
         probe_gradient(design, paints, scalar, ("angle",))
     with pytest.raises(SimulateError, match="at least 2 repeats"):
         probe_gradient(design, paints, scalar, paths=ProbePaths(repeats=1))

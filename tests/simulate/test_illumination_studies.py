@@ -108,9 +108,9 @@ def test_what_a_search_did_not_find_is_said():
 
     assert len(doubts(beyond)) == len(doubts(spiky)) == 12
     start = "with mirror, edge of the contact towards the base, red: "
-    assert doubts(beyond)[0].startswith(f"{start}highest at -30 deg, at the end of the search range or beyond it")
+    assert doubts(beyond)[0].startswith(f"{start}the maximum is at -30 deg, the end of the search range")
     assert doubts(spiky)[0].startswith(start)
-    assert doubts(spiky)[0].endswith("% away from the smooth curve from which the maximum is read")
+    assert doubts(spiky)[0].endswith("% from the smooth curve that gives the maximum")
     assert doubts(np.cos(np.radians(angles - 30.0)) + 2.0) == ()
 
 

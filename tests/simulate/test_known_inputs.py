@@ -143,7 +143,7 @@ def test_unphysical_draws_are_left_out_and_too_many_refused(finger):
     assert kept.factors.shape[1] == 100
     assert kept.factors[0].max() < 1.5
     with pytest.raises(
-        SimulateError, match=r"more than half the posterior draws of red acrylic return more light .* white"
+        SimulateError, match=r"more than half of the posterior draws of red acrylic return more light .* white"
     ):
         known_inputs(finger, {"red": fit.model_copy(update={"emission_draws_per_nm": most})}, SHA, CHAINS, 100)
 

@@ -103,7 +103,7 @@ def test_the_surfaces_close_and_the_gel_keeps_its_volume(records):
 
 
 def test_a_press_without_depth_is_refused():
-    with pytest.raises(SimulateError, match="a press needs a depth above 0 mm"):
+    with pytest.raises(SimulateError, match="must be above 0 mm for a press"):
         press_finger(FingerDesign(indenter=Indenter(depth_mm=0.0)))
 
 

@@ -119,7 +119,7 @@ def test_renderer_sends_its_rays_through_the_calibration(request, variant, camer
 
 def test_picture_of_another_shape_is_refused(scalar):
     film = {"type": "hdrfilm", "width": 320, "height": 200, "rfilter": {"type": "box"}}
-    with pytest.raises(SimulateError, match=r"lens\.yaml calibrates a picture of 640 x 480 px, .* \(320 x 200 in"):
+    with pytest.raises(SimulateError, match=r"lens\.yaml calibrates a picture of 640 x 480 px, .* \(320 x 200 px in"):
         opencv_sensor(PINHOLE, scalar.ScalarTransform4f(), film, scalar)
 
 
@@ -198,10 +198,10 @@ def test_errors_name_file_and_field(tmp_path):
         read_calibration(tmp_path / "nothing.yaml")
     cases = {
         r"skew.yaml: camera_matrix must be \[fx 0 cx": {"matrix": MATRIX + np.eye(3, k=1)},
-        r"flat.yaml: camera_matrix must hold 3 x 3 numbers, got 4": {"matrix": np.eye(2)},
+        r"flat.yaml: camera_matrix must contain 3 x 3 numbers, got 4": {"matrix": np.eye(2)},
         r"six.yaml: .*'distortion|six.yaml: .*distortion: a pinhole model has .* got 6": {"distortion": (0.0,) * 6},
         r"fish.yaml: .*a fisheye model has 0 or 4 coefficients, got 5": {"distortion_model": "fisheye"},
-        r"model.yaml: distortion_model is 'kannala'": {"distortion_model": "kannala"},
+        r"model.yaml: distortion_model must be one of .*, got 'kannala'": {"distortion_model": "kannala"},
         r"size.yaml: field image_width": {"image_width": None},
         r"zero.yaml: .*focal_px": {"matrix": np.diag([0.0, 1.0, 1.0])},
         r"name.yaml: field distortion_coefficients is missing \(also known as dist_coeffs": {"field": "lens"},
@@ -211,7 +211,7 @@ def test_errors_name_file_and_field(tmp_path):
             read_calibration(stored(tmp_path, message.split(":")[0], **changed))
     texts = {
         "is longer than 1000000 bytes": "a: 1\n" * 300_000,
-        "cannot be read as YAML or JSON": "hello",
+        "is not a readable YAML or JSON file": "hello",
         "camera_matrix.data must be a matrix": "camera_matrix:\n  data: word\ndist_coeffs: [0, 0, 0, 0]\n",
     }
     for message, text in texts.items():

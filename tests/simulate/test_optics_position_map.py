@@ -96,11 +96,13 @@ def test_folded_texture_coordinates_and_crumpled_faces_are_refused():
     u = np.linspace(0.0, 1.0, 9)
     points = np.stack([*np.meshgrid(35 * u, 0.0 * u[:1], 70 * u, indexing="ij")], -1)[:, 0]
     folded = grid_surface(points, np.abs(u - 0.5), u)
-    with pytest.raises(SimulateError, match="texture coordinates of the inner face fold: 64 of 128 triangles"):
+    with pytest.raises(SimulateError, match="texture coordinates of the inner face fold, because 64 of 128 triangles"):
         PositionMap.of(folded, "inner face")
     crumpled = points + np.random.default_rng(0).normal(0.0, 3.0, points.shape) * [0.0, 1.0, 0.0]
     fine = grid_surface(np.repeat(np.repeat(crumpled, 8, 0), 8, 1), np.linspace(0, 1, 72), np.linspace(0, 1, 72))
-    with pytest.raises(SimulateError, match=r"the inner face is not a smooth face: .* \(0.3 mm allowed\)"):
+    with pytest.raises(
+        SimulateError, match=r"the inner face is not a smooth face, because .* at most 0.3 mm is allowed"
+    ):
         PositionMap.of(fine, "inner face")
 
 

@@ -74,15 +74,15 @@ def test_scalar_sweep_and_level_a_work(scalar, paints):
 
 def test_what_a_scalar_renderer_leaves_out_is_refused_or_said(scalar, paints):
     beamed = DESIGN.model_copy(update={"light": LightPanel(beam_exponent=4.0)})
-    with pytest.raises(SimulateError, match=r"light\.beam_exponent: a scalar variant renders Lambertian panels"):
+    with pytest.raises(SimulateError, match=r"light\.beam_exponent: a scalar variant supports only Lambertian panels"):
         render_press(beamed, paints, scalar, RenderSettings(samples_per_pixel=2))
-    with pytest.raises(SimulateError, match="level c runs only in compiled variants of Mitsuba"):
+    with pytest.raises(SimulateError, match="level c needs a compiled variant of Mitsuba"):
         render_press(DESIGN, paints, scalar, RenderSettings("c", samples_per_pixel=2))
 
 
 def test_surfaces_of_another_finger_are_refused(scalar, paints):
     other = FingerDesign(pad=GelPad(length_mm=48.0, width_mm=18.0), indenter=Indenter(position_mm=24.0))
-    with pytest.raises(SimulateError, match=r"belong to another finger: their pad has a width of 18 mm"):
+    with pytest.raises(SimulateError, match=r"belong to another finger, because their pad has a width of 18 mm"):
         render_press(
             DESIGN,
             paints,

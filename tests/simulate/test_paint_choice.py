@@ -139,7 +139,7 @@ def test_without_a_change_of_reflectance_it_is_the_same_to_rounding(llvm, paints
 
 def test_what_cannot_be_compared_is_refused(scalar, paints):
     one = {"red": calibrated(paints["red"], 1)}
-    with pytest.raises(SimulateError, match="a finger carries two paints, got 1"):
+    with pytest.raises(SimulateError, match="needs at least two paints, got 1"):
         paint_pairs(finger(scalar), one, 1)
     two = one | {"green": calibrated(paints["green"], 2)}
     with pytest.raises(SimulateError, match="needs a compiled variant"):

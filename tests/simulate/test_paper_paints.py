@@ -159,7 +159,7 @@ def test_a_paint_as_the_paper_says_is_found_to_hold():
 def test_what_cannot_stand_for_a_paint_is_refused():
     paint = skew_cauchy_paint(50.0, 0.1)
     rng = np.random.default_rng(1)
-    with pytest.raises(SimulateError, match="at least one measured re-radiation matrix for red and one for green"):
+    with pytest.raises(SimulateError, match="a measured re-radiation matrix for red or green is missing"):
         reproduce_paper_paints([paint], [], rng)
     with pytest.raises(SimulateError, match="material paper is given twice; give each file once, for one colour"):
         reproduce_paper_paints([paint], [paint], rng)
@@ -172,10 +172,10 @@ def test_what_cannot_stand_for_a_paint_is_refused():
     with pytest.raises(SimulateError, match="covers excitation 300 to 390 nm"):
         measure_stand_in(short, "red", rng)
     dark = paint.model_copy(update={"radiance_factor_per_nm": 0 * paint.radiance_factor_per_nm})
-    with pytest.raises(SimulateError, match="under 450 nm nothing is emitted from 470 nm on"):
+    with pytest.raises(SimulateError, match="emits nothing above 470 nm under light of 450 nm"):
         measure_stand_in(dark, "red", rng)
     line = np.where(paint.emission_nm[:, None] == 560.0, paint.radiance_factor_per_nm, 0.0)
-    with pytest.raises(SimulateError, match="so the absorption cannot be read from the matrix"):
+    with pytest.raises(SimulateError, match="the absorption cannot be read from the matrix"):
         measure_stand_in(paint.model_copy(update={"radiance_factor_per_nm": line}), "red", rng)
 
 
@@ -220,11 +220,11 @@ def written(path, last_excitation_nm=800, last_emission_nm=800):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--green {paint}", "at least one measured re-radiation matrix for red and one for green .--red CSV --green"),
+        ("--green {paint}", "a measured re-radiation matrix for red or green is missing; .* .--red CSV --green"),
         ("--red {tmp}/no.csv --green {paint}", r"no\.csv: no such file; give the path of a"),
         ("--red {tmp} --green {paint}", "cannot be read|is a folder"),
         ("--red {blue} --green {paint}", r"blue\.csv: covers excitation 300 to 420 nm .* up to the laser at 450 nm"),
-        ("--red {cut} --green {paint}", r"cut\.csv: covers .* emission 380 to 700 nm; .* emission from 470 to 780 nm"),
+        ("--red {cut} --green {paint}", r"cut\.csv: covers .* emission 380 to 700 nm, .* emission from 470 to 780 nm"),
         ("--red {paint} --green {paint}", "material paint is given twice; give each file once, for one colour"),
         ("--red {paint} --green {other} --out {tmp}", "exists already and is not overwritten"),
     ],

@@ -122,10 +122,10 @@ def test_a_scalar_variant_renders_too(scalar):
 def test_refusals(scalar):
     with pytest.raises(SimulateError, match="even number of at least 2"):
         render_plain_sensor(PlainSensor(), scalar, samples_per_pixel=3)
-    with pytest.raises(SimulateError, match="without a film"):
+    with pytest.raises(SimulateError, match="a film on the inner face is not supported"):
         plain_sensor_scene(PlainSensor(pad=DOME.model_copy(update={"film": Film()})), scalar)
     narrow = PlainSensor(lights=(ColouredLight(channel="red", beam_exponent=4.0),))
-    with pytest.raises(SimulateError, match=r"lights\.beam_exponent: scalar_rgb renders Lambertian lights only"):
+    with pytest.raises(SimulateError, match=r"lights\.beam_exponent: scalar_rgb supports only Lambertian lights"):
         render_plain_sensor(narrow, scalar, samples_per_pixel=2)
     with pytest.raises(FieldError, match=r"it must be more than 1\.53 mm"):
         ColouredLight(channel="red", depth_mm=1.0)

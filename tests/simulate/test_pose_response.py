@@ -79,14 +79,14 @@ def test_derivatives_are_central_differences(finger, calls):
 def test_a_step_out_of_the_pad_is_refused_before_anything_is_rendered(finger, calls, field, value_mm):
     indenter = finger.design.indenter.model_copy(update={field: value_mm})
     near = replace(finger, design=finger.design.model_copy(update={"indenter": indenter}))
-    with pytest.raises(SimulateError, match=rf"moves indenter\.{field} by .* mm is not possible: press deeper, or"):
+    with pytest.raises(SimulateError, match=rf"moves indenter\.{field} by .* mm is not possible; press deeper, or"):
         simulate_press(FingerScene(near), WITH_POSE, {})
     assert not calls
 
 
 def test_given_shapes_have_no_response(finger):
     with pytest.raises(
-        SimulateError, match="rendered for the analytic press only; leave out --pose-response or --surfaces"
+        SimulateError, match="rendered only for the analytic press; leave out --pose-response or --surfaces"
     ):
         simulate_press(FingerScene(finger, shapes=(None, None)), WITH_POSE, {})
 

@@ -314,7 +314,7 @@ def test_what_comes_after_ribs_cross_teaches_nothing(finger: CondensedFinger, pr
 
 def test_a_condensation_of_another_mesh_is_refused(design: FingerDesign, condensed: Condensation) -> None:
     other = replace(condensed, compliance_mm_per_n=condensed.compliance_mm_per_n[:-3, :-3])
-    with pytest.raises(SimulateError, match="belongs to another mesh: its coat has"):
+    with pytest.raises(SimulateError, match="belongs to another mesh, because its coat has"):
         CondensedFinger(design, "coarse", other)
 
 

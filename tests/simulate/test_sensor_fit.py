@@ -113,7 +113,7 @@ def test_the_record_and_the_fitted_design(hidden, tmp_path):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"encoding": "unknown"}, "fitted to linear values only"),
+        ({"encoding": "unknown"}, "fitted only to linear values"),
         ({"exposure_s": 0.02}, "one gain holds for all captures"),
         ({"name": "hidden"}, "given twice"),
     ],
@@ -128,12 +128,12 @@ def test_captures_that_do_not_go_together_are_refused(change, told):
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("pad.nose", "must be a positive number"),
+        ("pad.nose", "must be the dotted path of a positive number"),
         ("lights.0.power_rel", "powers are always fitted; leave out"),
-        ("indenter.depth_mm", "is fitted for every capture that states indenter.depth_uncertainty_mm; leave out"),
-        ("indenter.radius_mm", "of the indenter only depth_mm and position_mm are fitted"),
-        ("camera.width_px", "must be a positive number"),
-        ("walls", "must be a positive number"),
+        ("indenter.depth_mm", "is always fitted for captures that state indenter.depth_uncertainty_mm; leave out"),
+        ("indenter.radius_mm", "only depth_mm and position_mm of the indenter can be fitted"),
+        ("camera.width_px", "must be the dotted path of a positive number"),
+        ("walls", "must be the dotted path of a positive number"),
     ],
 )
 def test_numbers_that_cannot_be_free_are_refused(name, why):
@@ -145,7 +145,7 @@ def test_numbers_that_cannot_be_free_are_refused(name, why):
 def test_pictures_of_another_size_are_refused():
     pictures = 1000.0 * formula(DrawnSensor().design, True)[:, ::2, ::2]
     capture = captured(np.stack([pictures, pictures]), np.random.default_rng(1))
-    with pytest.raises(SimulateError, match=r"renders 64 x 48 px, hidden has 32 x 24 px"):
+    with pytest.raises(SimulateError, match=r"renders 64 x 48 px, but hidden has 32 x 24 px"):
         fit_sensor(DrawnSensor(), [capture], FREE)
 
 
@@ -232,7 +232,7 @@ def test_captures_and_design_without_a_common_channel_are_refused():
     for image in images.values():
         image[..., 0] = 64
         image[::5, ::5, 0] = 65
-    with pytest.raises(SimulateError, match="no channel holds light both in the captures and in the design's pictures"):
+    with pytest.raises(SimulateError, match="no channel has light both in the captures and in the design's pictures"):
         fit_sensor(OneColour(noise_rel=NOISE_REL), [capture.model_copy(update=images)], seed=3)
 
 

@@ -92,7 +92,9 @@ class TestIndenters:
     def test_a_mesh_of_too_many_layers(self):
         x = z = np.linspace(0.0, 1.0, 1001)
         layer = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
-        with pytest.raises(SimulateError, match=r"covers the pad 30 times; give one with fewer layers"):
+        with pytest.raises(
+            SimulateError, match=r"covers the pad 30 times, which is too often; give a mesh with fewer layers"
+        ):
             height_over_pad_mm(np.repeat(layer, 30, axis=0), x, z, "lowest")
 
     def test_a_body_that_covers_the_pad(self):
@@ -104,7 +106,9 @@ class TestIndenters:
 
     def test_a_body_that_goes_through_the_pad(self):
         cuboid = Indenter(shape="cuboid", size_mm=(3.0, 9.0, 3.0), edge_radius_mm=0.5, depth_mm=4.5, position_mm=9.0)
-        with pytest.raises(SimulateError, match=r"= 4\.5 mm goes through the pad; there it can be at most 3\.95 mm"):
+        with pytest.raises(
+            SimulateError, match=r"= 4\.5 mm goes through the pad, .* reduce indenter.depth_mm to at most 3\.95 mm"
+        ):
             pressed_coat(SENSOR.model_copy(update={"indenter": cuboid}))
 
     def test_a_body_larger_than_the_pad(self):
@@ -172,10 +176,10 @@ class TestHeightMaps:
     @pytest.mark.parametrize(
         ("values", "fields", "message"),
         [
-            (np.zeros(5), {}, r"rows and columns, got shape \(5,\)"),
-            (np.full((200, 200), np.nan), {}, "finite numbers in rows and columns"),
-            (np.full((30, 30), 0.5), {}, r"ends on the pad with a step of 0\.5 mm; at most 0\.05 mm"),
-            (np.full((400, 400), 800.0), {}, r"reaches down to -796 mm above .*\(check unit_mm"),
+            (np.zeros(5), {}, r"rows and 2 columns, got shape \(5,\)"),
+            (np.full((200, 200), np.nan), {}, "finite numbers in at least 2 rows"),
+            (np.full((30, 30), 0.5), {}, r"ends on the pad with a step of 0\.5 mm, but at most 0\.05 mm"),
+            (np.full((400, 400), 800.0), {}, r"reaches down to -796 mm above .*; check unit_mm"),
             (
                 np.full((400, 400), 4.0),
                 {"position_mm": 900.0},
@@ -193,13 +197,15 @@ class TestHeightMaps:
             pressed_coat(with_surface(file="coat.npy", step_mm=0.1), tmp_path)
         cv2.imwrite(str(tmp_path / "coat.png"), np.zeros((8, 8, 3), np.uint8))
         png = {"file": "coat.png", "step_mm": 0.1, "unit_mm": 0.01}
-        with pytest.raises(SimulateError, match=r"coat.png: holds 3 channels; a height map must be a grey PNG"):
+        with pytest.raises(SimulateError, match=r"coat.png: holds 3 channels, but a height map must be a grey PNG"):
             pressed_coat(with_surface(**png), tmp_path)
         (tmp_path / "coat.png").write_bytes(b"no picture")
         with pytest.raises(SimulateError, match=r"coat.png: cannot be decoded"):
             pressed_coat(with_surface(**png), tmp_path)
         (tmp_path / "coat.stl").write_bytes(stl_bytes(FACETS, CUBE, "cube"))
-        with pytest.raises(SimulateError, match=r"covers \d+ % of the pad; a mesh of the coat must cover all of it"):
+        with pytest.raises(
+            SimulateError, match=r"covers only \d+ % of the pad, but a mesh of the coat must cover all of it"
+        ):
             pressed_coat(with_surface(file="coat.stl"), tmp_path)
         (tmp_path / "coat.stl").write_bytes(b"no mesh")
         with pytest.raises(SimulateError, match="neither a binary nor a text STL file"):
@@ -214,5 +220,5 @@ def test_a_record_of_a_press(scalar, tmp_path):
     assert press.contact.shape == (24, 24, 3)
     assert (press.distance <= 1.0).sum() > 10
     away = SENSOR.model_copy(update={"camera": CameraBelow(tilt_deg=80.0, width_px=8, height_px=8)})
-    with pytest.raises(SimulateError, match=r"the camera does not see the coat: check camera\.distance_mm"):
+    with pytest.raises(SimulateError, match=r"the camera does not see the coat; check camera\.distance_mm"):
         simulate_sensor_press(away, Path(), scalar, 1, 2)

@@ -207,7 +207,7 @@ def test_the_picture_is_the_path_tracers_with_less_noise(llvm):
 
 
 def test_sharing_is_refused_where_it_is_not_possible(scalar, paints):
-    with pytest.raises(SimulateError, match="level c follows fluorescence along each path and cannot share light"):
+    with pytest.raises(SimulateError, match="level c cannot share light"):
         RenderSettings("c", shared_light=True)
     with pytest.raises(SimulateError, match="--shared-light needs a compiled variant"):
         render_press(finger(64), paints, scalar, RenderSettings(shared_light=True))

@@ -86,14 +86,18 @@ def test_light_below_zero_by_less_than_its_noise_is_no_light():
 def test_what_is_no_render_has_no_capture():
     with pytest.raises(SimulateError, match="press has no finger design"):
         simulated_capture(press(design=None), seed=1)
-    with pytest.raises(SimulateError, match="holds encoded values, not light"):
+    with pytest.raises(SimulateError, match="contains encoded values, but only"):
         simulated_capture(press(encoding="unknown"), seed=1)
     with pytest.raises(SimulateError, match="image without contact is black"):
         simulated_capture(press(no_contact_bands=np.zeros((96, 128, 3), np.float32)), seed=1)
     bare = press(contact_bands=None, camera_matrix=None, bands=(), no_contact_bands=None)
-    with pytest.raises(SimulateError, match="no band images: only a rendered press can be captured"):
+    with pytest.raises(
+        SimulateError, match="no band images, but only a rendered press, which has them, can be captured"
+    ):
         simulated_capture(bare, seed=1)
-    with pytest.raises(SimulateError, match="holds no band images: only a rendered press records"):
+    with pytest.raises(
+        SimulateError, match="contains no band images, but only a rendered press, which has them, records"
+    ):
         colour_spread(bare, seed=1)
 
 

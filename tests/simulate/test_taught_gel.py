@@ -144,7 +144,7 @@ def test_a_strip_of_any_length_gives_the_light_of_its_integral(half_length):
 
 
 def test_what_taught_is_not_predicted(gel):
-    with pytest.raises(SimulateError, match=r"press 3: its contact image was used to train the model"):
+    with pytest.raises(SimulateError, match=r"press 3: the model was trained on this contact image"):
         predict_on_gel(gel, capture(3).model_copy(update={"name": "press 3"}))
 
 
@@ -158,17 +158,19 @@ def test_refusals():
     ):  # fmt: skip
         with pytest.raises(SimulateError, match="needs the circle of a ball's contact, the ball's radius"):
             fit_gel([*presses[:2], presses[2].model_copy(update=change)])
-    with pytest.raises(SimulateError, match="press 2: ball, scale or size differ from those of press 0"):
+    with pytest.raises(
+        SimulateError, match="press 2: the ball, the scale or the size of the picture differs from press 0"
+    ):
         fit_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
-    with pytest.raises(SimulateError, match="press 1: one contact image is given twice"):
+    with pytest.raises(SimulateError, match="press 1: the same contact image is given twice"):
         fit_gel([*presses[:2], presses[1]])
     away = ContactCircle(row_px=900.0, column_px=900.0, radius_px=10.0)
     wide = ContactCircle(row_px=60.0, column_px=80.0, radius_px=70.0)
     dark = np.array(presses[2].no_contact)
     dark[..., 2] = 0
     for change, message in (
-        ({"contact_circle": away}, "press 2: its contact circle lies outside the picture"),
-        ({"contact_circle": wide}, "press 2: its contact circle of 7 mm radius is larger than the ball of 6 mm"),
+        ({"contact_circle": away}, "press 2: the contact circle lies outside the picture"),
+        ({"contact_circle": wide}, "press 2: the contact circle of 7 mm radius is larger than the ball of 6 mm"),
         ({"no_contact": dark}, "press 2: near the contact 100 % of the blue values are clipped, or dark"),
     ):
         with pytest.raises(SimulateError, match=message):
@@ -178,6 +180,6 @@ def test_refusals():
 def test_a_press_of_another_ball_is_not_predicted(gel):
     other = capture(40).model_copy(update={"mm_per_px": 0.05})
     with pytest.raises(
-        SimulateError, match="press 40: ball or scale differ from those of the model's training presses"
+        SimulateError, match="press 40: the ball or the scale differs from the model's training presses"
     ):
         predict_on_gel(gel, other)

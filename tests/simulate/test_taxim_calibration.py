@@ -48,7 +48,7 @@ def test_presses_lie_evenly_on_the_pad():
         (
             SENSOR.pad,
             1.0,
-            "a ball of 1 mm radius does not fit a pad of 20 x 20 x 4 mm: the ball needs a radius above 1.33 mm",
+            "a ball of 1 mm radius does not fit a pad of 20 x 20 x 4 mm; its radius must be above 1.33 mm",
         ),
         (SENSOR.pad, 60.0, "does not fit a pad"),
     ],
@@ -150,7 +150,7 @@ def test_a_pad_that_is_hardly_seen_is_refused(monkeypatch):
     finger = taxim_finger.PaintedFinger(FingerDesign(), {"red": None, "green": None}, (), None)
     with pytest.raises(SimulateError, match="25 pixels see the pad, but at least 100 are needed"):
         taxim_finger.render_finger_presses(finger, 4.0, 2)
-    with pytest.raises(SimulateError, match="count = 0: at least one press"):
+    with pytest.raises(SimulateError, match="count must be at least 1 press, got 0"):
         taxim_finger.render_finger_presses(finger, 4.0, 0)
 
 
@@ -160,6 +160,7 @@ def test_a_pad_that_is_hardly_seen_is_refused(monkeypatch):
 def test_a_camera_that_does_not_look_straight_is_refused(turned):
     camera = SENSOR.camera.model_copy(update=turned)
     with pytest.raises(
-        SimulateError, match=rf"camera\.{next(iter(turned))}: Taxim's pictures are those of a camera that"
+        SimulateError,
+        match=rf"camera\.{next(iter(turned))} is not supported, because Taxim's pictures are those of a camera that",
     ):
         render_ball_presses(SENSOR.model_copy(update={"camera": camera}), SimpleNamespace(), 4.0, 3)

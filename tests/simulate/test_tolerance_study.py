@@ -77,7 +77,7 @@ def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
     def seen(design, paints, seed):
         turned, thicker = abs(design.light.angle_deg - 30.0) / 2.0, abs(design.pad.thickness_mm - 6.0) / 0.2
         if turned + thicker > 8.0 + 1e-9 and min(turned, thicker) > 0.5:
-            raise ImpossibleFingerError("the camera sees 10 of 30 points")
+            raise ImpossibleFingerError("the camera sees only 10 of 30 points")
         return by_formula(design, paints, seed)
 
     inputs = tolerance_inputs(DESIGN, drawn, VARY | OTHERS_STAY)
@@ -93,15 +93,15 @@ def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
     assert np.abs(record.inputs[:, :2] * record.box_factor / 0.8).sum(axis=1).max() > 8.0
     assert record.notes == (
         f"all numbers together vary by {record.box_factor:.2g} times the given half-ranges in place of "
-        f"{wide.factor:.2g}, because one of those fingers cannot be built: the camera sees 10 of 30 points",
+        f"{wide.factor:.2g}, because one of those fingers cannot be built: the camera sees only 10 of 30 points",
     )
 
     def never(design, paints, seed):
         if abs(design.light.angle_deg - 30.0) > 0.0 and abs(design.pad.thickness_mm - 6.0) > 0.0:
-            raise ImpossibleFingerError("the camera sees 10 of 30 points")
+            raise ImpossibleFingerError("the camera sees only 10 of 30 points")
         return by_formula(design, paints, seed)
 
-    with pytest.raises(SimulateError, match=r"not even fingers within .* can be built: the camera sees"):
+    with pytest.raises(SimulateError, match=r"not even fingers within .* can be built \(the camera sees"):
         study_tolerances(never, DESIGN, drawn, inputs, settings)
 
 
@@ -188,12 +188,12 @@ def test_what_a_person_sets_varies_and_what_is_stated(drawn):
     for field, words in (
         ("light.angel_deg", "is not a number of this finger"),
         ("pad.shape", "is not a number of this finger"),
-        ("mechanics.gel.c10_mpa", "that its light depends on"),
+        ("mechanics.gel.c10_mpa", "that affects the light"),
         ("light.position_mm", "the axis last"),
     ):
         with pytest.raises(SimulateError, match=words):
             tolerance_inputs(design, drawn, {field: 1.0})
-    with pytest.raises(SimulateError, match=r"0 \(the number is left out\) or more"):
+    with pytest.raises(SimulateError, match=r"0 or more, and finite"):
         tolerance_inputs(design, drawn, {"light.angle_deg": -1.0})
 
 
@@ -218,7 +218,7 @@ def test_a_study_that_tells_nothing_is_refused(drawn):
     inputs = tolerance_inputs(DESIGN, drawn)
     with pytest.raises(SimulateError, match="need at least 60 runs"):
         study_tolerances(by_formula, DESIGN, drawn, inputs, ToleranceSettings(runs=59))
-    with pytest.raises(SimulateError, match="nothing varies"):
+    with pytest.raises(SimulateError, match="no number varies"):
         study_tolerances(by_formula, DESIGN, drawn, (), ToleranceSettings())
     with pytest.raises(SimulateError, match="allowed growth must be more than 0"):
         study_tolerances(by_formula, DESIGN, drawn, inputs, ToleranceSettings(allowed_rel=0.0))

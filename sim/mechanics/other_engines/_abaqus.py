@@ -81,9 +81,9 @@ def _of_nodes(
         if (field.nodes[found] == wanted).all():
             return field.values[found]
     raise ImportFormatError(
-        f"the results lack {name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g}; they must "
-        f"be of a deck of this design on the {preset} mesh, with its output requests: finray export deck "
-        "DESIGN --dialect abaqus"
+        f"{name} of the nodes {wanted[0]} to {wanted[-1]} at step time {time:g} is missing in the results; compute a "
+        f"deck of this design on the {preset} mesh with its output requests (finray export deck DESIGN --dialect "
+        "abaqus)"
     )
 
 
@@ -123,8 +123,8 @@ def read_fil(path: Path) -> list[NodalField]:
     content = read_bytes(path, "an Abaqus results file in ASCII (.fil)", ImportFormatError)
     if not content.startswith(b"*I"):
         raise ImportFormatError(
-            f"{path}: not an Abaqus results file in ASCII, which begins with *I; request one by *FILE FORMAT, "
-            "ASCII in the step, as in the decks of finray export deck, or convert it with abaqus ascfil"
+            f"{path}: is not an Abaqus results file in ASCII, which begins with *I; request one with *FILE FORMAT, "
+            "ASCII in the step, as in the decks of finray export deck, or convert the file with abaqus ascfil"
         )
     lines = content.decode("ascii", "replace").splitlines()
     # blanks at the end of a line may have been trimmed, and may be part of a number
@@ -145,7 +145,7 @@ def read_fil(path: Path) -> list[NodalField]:
             components.append([float(v) for v in (*values, 0.0, 0.0)][:_COMPONENTS])
     found += _collected(rows, time)
     if not found:
-        raise ImportFormatError(f"{path}: holds no displacements; write them by *NODE FILE with U and RF")
+        raise ImportFormatError(f"{path}: contains no displacements; write them with *NODE FILE, U and RF")
     return found
 
 
@@ -179,10 +179,10 @@ def _attributes(path: Path, record: str) -> list[float | str]:
             items.append(int(word[2:]) if kind == "I" else word if kind == "A" else float(word.replace("D", "E")))
             at += 1 + width
     except ValueError as error:
-        raise ImportFormatError(f"{path}: the record *{record[:40].strip()}... is damaged: {error}") from None
+        raise ImportFormatError(f"{path}: the record *{record[:40].strip()}... is corrupted ({error})") from None
     if len(items) != items[0]:
         raise ImportFormatError(
-            f"{path}: the record *{record[:40].strip()}... has {len(items)} items, but states {items[0]}; the file is "
-            "damaged, or its lines are not of 80 columns"
+            f"{path}: the record *{record[:40].strip()}... has {len(items)} items but states {items[0]}; the file is "
+            "corrupted, or its lines are not of 80 columns"
         )
     return items[2:]

@@ -77,8 +77,8 @@ def read_frd(path: Path) -> list[NodalField]:
             found.append(_field(path, name, before[-1], text[field.end() : end + 1]))
     if not found:
         raise ImportFormatError(
-            f"{path}: holds no field {' or '.join(_FIELDS)}; it must be an ASCII .frd file of CalculiX, written by "
-            "*NODE FILE (binary ones, of OUTPUT=2D or *CONTROLS, are not read)"
+            f"{path}: contains no field {' or '.join(_FIELDS)}; give an ASCII .frd file of CalculiX, written with "
+            "*NODE FILE (binary files, of OUTPUT=2D or *CONTROLS, are not supported)"
         )
     return found
 
@@ -93,8 +93,8 @@ def _field(path: Path, name: str, time: float, block: bytes) -> NodalField:
     components, rest = divmod(width - 1 - _KEY - _NUMBER, _VALUE)
     if rest or components < 1 or len(lines) % width:
         raise ImportFormatError(
-            f"{path}: lines of the field {name} at time {time:g} must hold a node and values of {_VALUE} columns; the "
-            "file is damaged or not in the short ASCII format"
+            f"{path}: lines of the field {name} at time {time:g} must contain a node and values of {_VALUE} columns; "
+            "the file is corrupted or not in the short ASCII format"
         )
     columns = [("key", f"S{_KEY}"), ("node", f"S{_NUMBER}"), ("values", f"S{_VALUE}", (components,)), ("end", "S1")]
     table = np.frombuffer(lines, dtype=np.dtype(columns))
@@ -102,7 +102,7 @@ def _field(path: Path, name: str, time: float, block: bytes) -> NodalField:
         return NodalField(time, name, table["node"].astype(np.int64), table["values"].astype(np.float64))
     except ValueError as error:
         raise ImportFormatError(
-            f"{path}: a value of the field {name} at time {time:g} is not a number: {error}"
+            f"{path}: a value of the field {name} at time {time:g} is not a number ({error})"
         ) from None
 
 
@@ -134,14 +134,16 @@ def read_totals(path: Path) -> Mapping[tuple[str, str], FloatArray]:
             try:
                 found.setdefault((head[1], head[2]), []).append([float(head[3]), *map(float, below)])
             except ValueError as error:
-                raise ImportFormatError(f"{path}: line {number + 1}: the total is not a number: {error}") from None
+                raise ImportFormatError(f"{path}, line {number + 1}: the total is not a number ({error})") from None
     if not found:
         raise ImportFormatError(
-            f"{path}: holds no totals of sets; write them by *NODE PRINT and *EL PRINT with TOTALS=ONLY"
+            f"{path}: contains no totals of sets; write them with *NODE PRINT and *EL PRINT with TOTALS=ONLY"
         )
     uneven = next((key for key, rows in found.items() if len({len(row) for row in rows}) > 1), None)
     if uneven is not None:
-        raise ImportFormatError(f"{path}: the totals of {' of '.join(uneven)} differ in their number of values")
+        raise ImportFormatError(
+            f"{path}: the totals of {' of '.join(uneven)} must all have the same number of values, but do not"
+        )
     return {key: np.array(rows) for key, rows in found.items()}
 
 
@@ -233,8 +235,8 @@ def press_mesh_calculix(
         unreached = run_calculix(lines, Path(name), threads, time_limit_s, watch)
         if not len(_reached(Path(name))):
             raise SimulateError(
-                f"CalculiX found no equilibrium in the first increment: {unreached or 'it gave no reason'}. Ask for "
-                f"more increments or a smaller push, or leave out --engine calculix"
+                f"CalculiX found no equilibrium in the first increment ({unreached or 'it gave no reason'}). Ask for "
+                "more increments or a smaller push, or leave out --engine calculix"
             )
         return _pressed(depth_mm, mesh, Path(name), unreached)
 
@@ -400,7 +402,7 @@ def run_calculix(
         finally:
             _end(process)
     if late:
-        return f"CalculiX was ended after {time_limit_s:g} s; take a coarser mesh or a smaller push"
+        return f"CalculiX was ended after {time_limit_s:g} s, the time limit; take a coarser mesh or a smaller push"
     return _complaint(read_bytes(log, "the log of CalculiX").decode("ascii", "replace"), process.returncode)
 
 

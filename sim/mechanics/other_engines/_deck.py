@@ -93,7 +93,9 @@ def fit_invariant_law(rubber: Ogden, stretches: tuple[float, float] = (0.8, 1.25
         When the range does not hold 1 inside, or when the fitted law is not stable in it.
     """
     if not 0.0 < stretches[0] < 1.0 < stretches[1]:
-        raise SimulateError(f"the stretches of a fit must lie on both sides of 1, got {stretches[0]} to {stretches[1]}")
+        raise SimulateError(
+            f"the stretches of a fit must lie on both sides of 1 and above 0, got {stretches[0]} to {stretches[1]}"
+        )
     logs = np.linspace(math.log(stretches[0]), math.log(stretches[1]), _STRETCHES)
     logs = logs[np.abs(logs) > _UNSTRETCHED]
     slopes, aims, curves = zip(*(_slopes(rubber, logs, second) for second in _MODES.values()), strict=True)
@@ -176,7 +178,7 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
         if not isinstance(material, Ogden):
             raise SimulateError(
                 f"mechanics.{name}: {material.name} is a law of another package, which an input deck of CalculiX or "
-                "Abaqus cannot contain; take law out of the design, or press without --engine calculix"
+                "Abaqus cannot contain; leave law out of the design, or press without --engine calculix"
             )
         d1 = 2.0 / material.bulk_modulus_mpa
         if material.alpha == (2.0,):
@@ -185,10 +187,9 @@ def deck_materials(materials: Mapping[str, Material], dialect: Dialect) -> DeckM
             law = _stand_in(name, material)
             lines += ["*HYPERELASTIC, POLYNOMIAL, N=2", f"{_numbers(*law.c_mpa, d1)}, {_NO_TERM}"]
             notes.append(
-                f"{name}: polynomial of the invariants in place of Ogden's law, because CalculiX does not "
-                "converge with that law at small strains; its stress deviates by at most "
-                f"{100.0 * law.deviation_rel:.1f} % for stretches of {law.stretches[0]:g} to "
-                f"{law.stretches[1]:g}, and by more beyond"
+                f"{name}: a polynomial of the invariants replaces Ogden's law, because CalculiX does not converge with "
+                f"that law at small strains; the stress deviates by at most {100.0 * law.deviation_rel:.1f} % for "
+                f"stretches of {law.stretches[0]:g} to {law.stretches[1]:g}, and by more beyond"
             )
         else:
             lines += _ogden(name, material, d1)
@@ -201,9 +202,9 @@ def _stand_in(name: str, material: Ogden) -> InvariantLaw:
     if law.deviation_rel > _LARGEST_DEVIATION_REL:
         raise SimulateError(
             f"mechanics.{name}: every polynomial of second order deviates from this Ogden rubber by "
-            f"{100.0 * law.deviation_rel:.0f} % or more for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}; "
-            f"in an input deck of CalculiX at most {100.0 * _LARGEST_DEVIATION_REL:g} % are allowed. "
-            "Press without --engine calculix"
+            f"{100.0 * law.deviation_rel:.0f} % or more for stretches of {law.stretches[0]:g} to {law.stretches[1]:g}, "
+            f"but at most {100.0 * _LARGEST_DEVIATION_REL:g} % are allowed in an input deck of CalculiX. Press without "
+            "--engine calculix"
         )
     return law
 
@@ -213,7 +214,7 @@ def _ogden(name: str, material: Ogden, d1: float) -> list[str]:
     terms = len(material.mu_mpa)
     if terms > _ABAQUS_TERMS:
         raise SimulateError(
-            f"mechanics.{name}: an Abaqus deck holds at most {_ABAQUS_TERMS} Ogden terms, but the design has {terms}"
+            f"mechanics.{name}: has {terms} Ogden terms, but an Abaqus deck can contain at most {_ABAQUS_TERMS}"
         )
     values = [v for pair in zip(material.mu_mpa, material.alpha, strict=True) for v in pair]
     values += [d1, *[0.0] * (terms - 1)]
@@ -388,7 +389,8 @@ def deck_lines(
     """
     if push.depth_mm <= 0.0 or push.increments < 1:
         raise SimulateError(
-            f"a deck needs a push above 0 mm in at least one increment, got {push.depth_mm:g} mm in {push.increments}"
+            f"a deck needs a push above 0 mm in at least one increment, got {push.depth_mm:g} mm in {push.increments} "
+            "increments"
         )
     used = {block.material for block in mesh.blocks}
     found = deck_materials({name: m for name, m in materials.items() if name in used}, dialect)
@@ -566,28 +568,29 @@ def finger_push(design: FingerDesign, preset: Preset, increments: int) -> Push:
     """
     depth_mm = design.indenter.depth_mm
     if depth_mm <= 0.0:
-        raise SimulateError(f"indenter.depth_mm = {depth_mm:g} mm: a press needs a depth above 0 mm")
+        raise SimulateError(f"indenter.depth_mm must be above 0 mm for a press, got {depth_mm:g} mm")
     other = design.indenter.is_packaged or design.indenter.shape == "mesh"
     indenter = None if other else rigid_indenter(design)
     if indenter is None or indenter.body is None:
         raise SimulateError(
-            f'indenter.shape = "{design.indenter.shape}": an input deck of CalculiX or Abaqus can contain a '
-            "cylinder, a ball or a cuboid; press another body with finray's own elements (without --engine calculix)"
+            f'indenter.shape = "{design.indenter.shape}" is not supported, because an input deck of CalculiX or '
+            "Abaqus can contain only a cylinder, a ball or a cuboid; press other bodies with finray's own elements "
+            "(without --engine calculix)"
         )
     tilt_deg = float(np.degrees(np.arccos(np.clip(indenter.touching.rotation[1, 1], -1.0, 1.0))))
     if design.indenter.shape != "ball" and tilt_deg > _STEEPEST_DEG:
         raise SimulateError(
             f"indenter.rotation_deg = {list(design.indenter.rotation_deg)} deg tilts the indenter by {tilt_deg:.0f} "
-            f"deg; an input deck of CalculiX or Abaqus contains only its underside, so at most {_STEEPEST_DEG:g} deg "
-            "are allowed. Swap its sizes to turn it by 90 deg, or press with finray's own elements (without --engine "
-            "calculix)"
+            f"deg, but at most {_STEEPEST_DEG:g} deg are allowed, because an input deck of CalculiX or Abaqus contains "
+            "only its underside. Swap its sizes to turn it by 90 deg, or press with finray's own elements (without "
+            "--engine calculix)"
         )
     if design.indenter.shape == "ball" and depth_mm > deepest_ball_mm(design.indenter.radius_mm):
         raise SimulateError(
-            f"indenter.depth_mm = {depth_mm:g} mm: an input deck of CalculiX or Abaqus contains a ball only up "
-            f"to {_BALL_REACH_DEG:g} deg from its lowest point, so at most "
-            f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm are allowed with indenter.radius_mm = "
-            f"{design.indenter.radius_mm:g} mm; press with finray's own elements (without --engine calculix)"
+            f"indenter.depth_mm = {depth_mm:g} mm is too deep, because an input deck of CalculiX or Abaqus contains a "
+            f"ball only up to {_BALL_REACH_DEG:g} deg from its lowest point. Press at most "
+            f"{deepest_ball_mm(design.indenter.radius_mm):.3g} mm deep with indenter.radius_mm = "
+            f"{design.indenter.radius_mm:g} mm, or press with finray's own elements (without --engine calculix)"
         )
     # an endless cylinder is cut off beyond the pad, wherever it lies and whichever way it is turned
     length_mm = 2.0 * (design.pad.width_mm + design.pad.length_mm)
