@@ -37,7 +37,7 @@ from sim.experiments._design_sensitivities import (
     design_value,
 )
 from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluator, LightMeasure
-from sim.experiments._light_angle import in_the_way
+from sim.experiments._light_angle import panels_in_the_way
 from sim.experiments._paint_choice import PaintDraws
 from sim.mechanics import LoadedFinger
 from sim.optics import Progress
@@ -262,7 +262,7 @@ class DesignSpace:
             rest = self._shape(design)
         except SimulateError:
             return False
-        return not any(in_the_way(panel, rest) for panel in design.lights)
+        return not panels_in_the_way(design, rest)
 
     def _shape(self, design: FingerDesign) -> FingerShape:
         """Return the surfaces of a finger without contact, made once for equal pads and mirrors."""
@@ -355,7 +355,7 @@ def map_designs(
                 _Field.of(first).changed(design, float(at_first[i])), float(at_second[j])
             )
             found = evaluator.evaluate(finger, paints)
-            refused = refused or (f"the panel collides with {found.in_the_way}" if found.in_the_way else "")
+            refused = refused or (f"a panel collides with {found.in_the_way}" if found.in_the_way else "")
             if not found.in_the_way:
                 seen = found.seen_share * found.error_by_place_deg.mean(axis=1)
                 errors[i, j] = seen + (1.0 - found.seen_share) * found.blind_error_deg

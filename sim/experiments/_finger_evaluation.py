@@ -34,8 +34,8 @@ from sim.experiments._light_angle import (
     facet_shares,
     facet_slopes,
     held_out_errors_deg,
-    in_the_way,
     normal_sigmas_deg,
+    panels_in_the_way,
     rows_along,
 )
 from sim.experiments._optics_products import tactile_sensor
@@ -164,7 +164,7 @@ class FingerEvaluation:
     blind_error_deg
         Error where nothing is seen and the coat is taken as not tilted: mean tilt of the facets.
     in_the_way
-        Surface that the light panel passes through; empty where it can be mounted.
+        First surface that a light panel passes through; empty where all panels can be mounted.
     table
         Camera signals of the facets, with draws in the place of repeats; for a calibration by another finger.
     """
@@ -339,7 +339,9 @@ class FingerEvaluator:
         table = self._exposed(design, rgb, points_mm, shares, electrons_per_radiance)
         rest = self._rest(design)
         blocked = self._once(
-            "panel", [design.light.model_dump(mode="json"), _parts(design)], lambda: in_the_way(design.light, rest)
+            "panels",
+            [[panel.model_dump(mode="json") for panel in design.lights], _parts(design)],
+            lambda: panels_in_the_way(design, rest),
         )
         seen_share = len(points_mm) / (POINTS_ACROSS * POINTS_ALONG)
         return _evaluated(design, table, rgb, places, self.settings.seed, seen_share, blocked)

@@ -347,7 +347,7 @@ def angle_objectives(
         clipped_share=table.clipped_share,
         clipped_limit_share=CLIPPED_LIMIT,
         exposure_rel=table.exposure_rel,
-        in_the_way=tuple(in_the_way(design.light, rest) for design in designs),
+        in_the_way=tuple(panels_in_the_way(design, rest) for design in designs),
     )
 
 
@@ -504,6 +504,11 @@ def _uniformities(table: FacetTable) -> Floats:
 def _smaller_is_better(name: str, meaning: str, values_deg: Floats) -> AngleObjective:
     """Return an objective that is an angular error."""
     return AngleObjective(name=name, meaning=meaning, unit="deg", larger_is_better=False, values=values_deg)
+
+
+def panels_in_the_way(design: FingerDesign, shape: FingerShape) -> str:
+    """Return the name of the first surface that any panel passes through, or an empty text when all fit."""
+    return next(filter(None, (in_the_way(panel, shape) for panel in design.lights)), "")
 
 
 def in_the_way(light: LightPanel, shape: FingerShape) -> str:

@@ -15,7 +15,7 @@ from sim.experiments import (
     design_parameter,
     search_designs,
 )
-from sim.experiments._light_angle import in_the_way, panel_surface
+from sim.experiments._light_angle import in_the_way, panel_surface, panels_in_the_way
 from sim.surface_meshes import Surface, check_no_intersections, rest_shape
 
 FLAT = preset_design("flat-70x35")
@@ -154,6 +154,15 @@ def test_a_panel_is_tried_with_near_triangles_and_the_answer_is_that_of_all() ->
         blocked += met[:1]
     assert 4 <= len(blocked) <= 12
     assert len(set(blocked)) >= 2
+
+
+def test_every_panel_is_tried_against_the_parts() -> None:
+    """A second panel that stands through the mirror, beside a first one that fits."""
+    behind = FLAT.light.model_copy(update={"angle_deg": 150.0, "position_mm": (0.0, -10.0, 50.0)})
+    rest = rest_shape(FLAT)
+    assert [in_the_way(panel, rest) for panel in (FLAT.light, behind)] == ["", "mirror"]
+    for blocked in ({"second_light": behind}, {"further_lights": (FLAT.light, behind)}):
+        assert panels_in_the_way(FLAT.model_copy(update=blocked), rest) == "mirror"
 
 
 def is_crossed(surfaces: dict[str, Surface]) -> bool:
