@@ -446,7 +446,7 @@ class DesignEvaluations:
         }
         if self._light is not None:
             settings = asdict(self._light.again(again, design.pad.length_mm))
-            given |= {"settings": settings, "paints": dict(self._light.sources)}
+            given |= {"settings": settings, "paints": dict(self._light.sources), **self._light.files}
         return hashlib.sha256(json.dumps(given, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def _values(self, design: FingerDesign, again: int) -> dict[str, float]:

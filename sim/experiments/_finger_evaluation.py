@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Final, TypeVar
 
@@ -112,6 +112,8 @@ class LightMeasure:
         Of the search; confirmations have other seeds and contact places.
     calibration
         Geometry of the camera; an ideal pinhole without it.
+    files
+        Field of the design -> SHA-256 of the file that it names; part of what an evaluation is known by.
     """
 
     response: CameraResponse
@@ -120,6 +122,7 @@ class LightMeasure:
     sources: Mapping[str, str]
     settings: EvaluationSettings
     calibration: CameraCalibration | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def again(self, number: int, length_mm: float) -> EvaluationSettings:
         """Return the settings of the n-th confirmation of fingers of a pad's length: another seed, other places."""
@@ -127,11 +130,8 @@ class LightMeasure:
             return self.settings
         rng = np.random.default_rng([self.settings.seed, number])
         places = np.sort(rng.uniform(0.1, 0.9, size=6)) * length_mm
-        values = asdict(self.settings) | {
-            "seed": int(rng.integers(2**31)),
-            "contact_places_mm": tuple(places.tolist()),
-        }
-        return EvaluationSettings(**values)
+        seed = int(rng.integers(2**31))
+        return replace(self.settings, seed=seed, contact_places_mm=tuple(places.tolist()))
 
 
 @dataclass(frozen=True, slots=True)

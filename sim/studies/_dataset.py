@@ -35,6 +35,7 @@ from data_schemas import (
     why_failed,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
+from sim import design_digests
 from sim.experiments import (
     PaintDraws,
     PaintedFinger,
@@ -230,6 +231,7 @@ def shard_key(task: DatasetTask, shard: PlannedShard) -> str:
     known = {
         "version": VERSION,
         "plan": task.plan.model_dump(mode="json", exclude={"design": {"provenance"}}),
+        **design_digests(task.plan.design, task.design_folder, ["camera"]),
         "paints": dict(task.sources),
         "presses": [shard.presses.start, shard.presses.stop],
     }

@@ -17,6 +17,7 @@ from sim.experiments import (
 )
 from sim.experiments._light_angle import in_the_way, panel_surface, panels_in_the_way
 from sim.surface_meshes import Surface, check_no_intersections, rest_shape
+from tests.command_line.running import load, succeed
 
 FLAT = preset_design("flat-70x35")
 ERROR = OBJECTIVES["normal-error"]
@@ -213,6 +214,25 @@ def test_a_search_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     longer = DesignEvaluations(tmp_path / "whole", [ERROR], origin, None)
     search_designs(varied, [ERROR], longer.evaluate, 20, seed=2)
     assert longer.computed < 20
+
+
+@pytest.mark.renderer
+def test_another_content_of_a_file_of_the_camera_is_another_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``finray design optimise`` again in the same folder, after the curves in the file were replaced."""
+    monkeypatch.setattr(DesignEvaluations, "_values", lambda self, design, again: {"brightness": 1.0})
+    (tmp_path / "finger.toml").write_text('preset = "flat-70x35"\n[camera]\nresponse = "camera.csv"\n')
+    words = f"design optimise {tmp_path}/finger.toml --for brightness --within light.angle_deg=0:60 --evaluations 10"
+    said = []
+    for green in (1.0, 1.0, 0.5):
+        rows = [f"{nm},{50.0 - 0.1 * abs(nm - 600)},{green * 40.0},30.0" for nm in range(380, 1001, 5)]
+        curves = "\n".join(["wavelength_nm,red_percent,green_percent,blue_percent", *rows])
+        (tmp_path / "camera.csv").write_text(curves)
+        said.append(succeed(f"{words} --confirm 0 --out {tmp_path}/found"))
+    assert ["0 computed now" in text for text in said] == [False, True, False]
+    inputs = load(tmp_path / "found" / "optimum.json")["record"]["provenance"]["input_sha256"]
+    assert f"{tmp_path}/camera.csv" in inputs
 
 
 def test_failures_are_kept_with_their_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

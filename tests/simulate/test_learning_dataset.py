@@ -95,6 +95,18 @@ def test_each_part_of_a_plan_is_part_of_the_key(tmp_path, paints, changes):
     assert datasets.shard_key(first, shard) != datasets.shard_key(other, shard)
 
 
+@pytest.mark.parametrize("field", ["response", "calibration"])
+def test_another_content_of_a_file_of_the_camera_is_another_set(tmp_path, paints, field):
+    design = plan_of().design
+    camera = design.camera.model_copy(update={field: "camera.txt"})
+    task = task_of(tmp_path, paints, design=design.model_copy(update={"camera": camera}))
+    shard, keys = planned_shards(task.plan, 2)[0], []
+    for content in ("one", "two", "one"):
+        (tmp_path / "camera.txt").write_text(content)
+        keys.append(datasets.shard_key(task, shard))
+    assert keys[0] == keys[2] != keys[1]
+
+
 def test_an_indenter_that_does_not_fit_is_refused_before_anything_is_computed():
     with pytest.raises(SimulateError, match=r"a ball of 40 mm radius, 3 mm deep, leaves no room on the pad of 48 x 18"):
         planned_shards(plan_of(radius_mm=(3.0, 40.0), depth_mm=(0.4, 3.0)), 2)
