@@ -12,6 +12,7 @@ from finray_calib.demo import summary
 from finray_calib.demo._report import compare_section
 from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_limits, truth_statement
 from finray_calib.reports import (
+    capture_sentence,
     comparison_lines,
     decimals_for,
     decision_table,
@@ -293,3 +294,10 @@ def test_terminal_table_fits_80_columns_and_holds_every_row() -> None:
     for candidate in ("do nothing", "simulation", "floor"):
         assert sum(line.startswith(candidate) for line in lines) == 2
     assert lines[-1] == "headline: skill 0.931 [0.913, 0.949] over contact and halo"
+
+
+def test_what_the_capture_changed_is_said_as_on_the_page_of_the_decision() -> None:
+    """The error is not the same at other angles: a Gaussian process widens it away from the angle of the capture."""
+    said = trust_limits(RESULTS)
+    assert capture_sentence(RESULTS.decision) in said
+    assert not any("same at other angles" in one for one in said)
