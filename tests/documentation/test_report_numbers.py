@@ -57,6 +57,15 @@ def test_numbers_as_text() -> None:
         "2.00e-07",
         "48.0",
     ]
+    # a number that is rounded to the next power of ten keeps its digits
+    assert [significant(v) for v in (9.996, 0.99951, 99960.0)] == ["10.0", "1.00", "100000"]
+    assert [fixed(u, decimals_for(u)) for u in (0.0994, 0.0996, 0.996, 9.96, 99.6)] == [
+        "0.099",
+        "0.10",
+        "1.0",
+        "10",
+        "100",
+    ]
     assert [percent(v) for v in (0.02, 0.0142, 0.381, 0.0, 0.0004, 3380.2)] == [
         "2 %",
         "1.4 %",
