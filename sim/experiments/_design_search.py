@@ -162,12 +162,14 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
     one = _Field.of(name.strip())
     start = one.value(design)
     low, high = _limits(name.strip(), limits, start) if separator else _usual_limits(name.strip(), start)
+    is_integer = isinstance(start, int)
+    if is_integer and (low := float(np.ceil(low))) >= (high := float(np.floor(high))):
+        raise SimulateError(f"--within: {text} holds no two whole numbers to choose from; give wider limits")
     for limit in (low, high):
         try:
-            one.changed(design, round(limit) if isinstance(start, int) else limit)
+            one.changed(design, round(limit) if is_integer else limit)
         except SimulateError as refused:
             raise SimulateError(f"--within: {name.strip()} = {limit:g} is not possible: {refused}") from None
-    is_integer = isinstance(start, int)
     return DesignParameter(field=name.strip(), low=low, high=high, is_integer=is_integer, start=float(start))
 
 
@@ -289,7 +291,7 @@ _MOST_MAPPED: Final = 400
 
 
 def map_axis(design: FingerDesign, text: str) -> tuple[str, Floats]:
-    """Return field and values of one axis of a map from FIELD=LOW:HIGH:STEP, both ends included.
+    """Return field and values of one axis of a map from FIELD=LOW:HIGH:STEP; HIGH is one where steps end there.
 
     Raises
     ------

@@ -73,6 +73,16 @@ def test_usual_parameters_go_with_what_is_asked_for() -> None:
         assert one.low <= one.start <= one.high
 
 
+def test_a_whole_number_stays_within_its_limits() -> None:
+    start = FLAT.skeleton.rib_count
+    varied = space(f"skeleton.rib_count={start - 1.6}:{start + 1.2}")
+    ends = [varied.changes(np.array([at]))["skeleton.rib_count"] for at in (0.0, 1.0)]
+    assert ends == [start - 1, start + 1]
+    assert varied.snapped(np.array([0.1])).tolist() == [0.0]
+    with pytest.raises(SimulateError, match="no two whole numbers"):
+        design_parameter(FLAT, f"skeleton.rib_count={start - 0.6}:{start + 0.6}")
+
+
 def test_a_place_is_a_design_and_back() -> None:
     varied = space("light.angle_deg=0:60", "light.position_mm[y]=-14:-8", "skeleton.rib_count=3:9")
     place = varied.snapped(np.array([0.5, 0.25, 0.43]))
