@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from data_schemas import DatasetPlan, SimulateError, provenance
+from data_schemas import DatasetPlan, PathPose, SimulateError, provenance
 from finray_calib.cli._study_run import stand_in_paints
 from finray_calib.exchange import read_shard
 from sim import preset_design
@@ -65,6 +65,29 @@ def test_presses_are_drawn_by_their_number_alone_and_their_contact_lies_on_the_p
         assert values.mean() == pytest.approx((low + high) / 2.0, abs=4.0 * (high - low) / np.sqrt(12.0 * 400))
     balls = sum(design.indenter.shape == "ball" for design in designs)
     assert abs(balls - 200) < 4 * 10
+
+
+def test_a_path_that_moves_aside_stays_on_the_pad():
+    """A ball that is pressed in, dragged 8 mm towards the base and 3 mm across, and drawn back a little."""
+    poses = ({"push_mm": 1.0}, {"push_mm": 1.0, "along_mm": -8.0, "across_mm": 3.0}, {"push_mm": 0.5, "along_mm": 1.0})
+    design = plan_of().design
+    indenter = design.indenter.model_copy(update={"path": tuple(PathPose(**pose) for pose in poses)})
+    plan = plan_of(design=design.model_copy(update={"indenter": indenter}), press="finite elements", shapes=("ball",))
+    ends = []
+    for press in range(400):
+        pressed = sampled_press(plan, press)
+        half = float(contact_half_width_mm(pressed))
+        for pose in (PathPose(), *pressed.indenter.path):
+            along, across = pressed.indenter.position_mm + pose.along_mm, pressed.indenter.across_mm + pose.across_mm
+            ends.append(
+                (min(along, pressed.pad.length_mm - along) - half, pressed.pad.width_mm / 2 - abs(across) - half)
+            )
+    # the contact lies on the pad, and no part of the pad is left out: of 400 even draws some come near each edge
+    assert np.min(ends, axis=0) == pytest.approx(0.0, abs=0.3)
+    assert np.min(ends) >= -1e-9
+    far = indenter.model_copy(update={"path": (PathPose(push_mm=1.0, along_mm=45.0),)})
+    with pytest.raises(SimulateError, match="and indenter.path moves it aside"):
+        planned_shards(plan_of(design=design.model_copy(update={"indenter": far}), press="finite elements"), 2)
 
 
 def test_lights_turn_within_their_reach_and_differ_from_press_to_press():
