@@ -54,6 +54,10 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "ball.grasp.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_no_mass_is_zero_however_it_is_written():
+    assert [grasp_verb._mass(text) for text in ("0", "0.0", " 0 ", "0e0", "0.5")] == [0.0, 0.0, 0.0, 0.0, 0.5]
+
+
 @pytest.mark.parametrize(
     ("words", "more", "message"),
     [
