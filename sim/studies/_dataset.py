@@ -150,11 +150,8 @@ def _reach_mm(path: tuple[PathPose, ...]) -> tuple[tuple[float, float], tuple[fl
     """Return middle and half width of where a path moves to along the pad, and across it; it starts at 0, 0."""
     ways = np.array([[0.0, 0.0], *([pose.along_mm, pose.across_mm] for pose in path)])
     low, high = ways.min(axis=0), ways.max(axis=0)
-    (middle_along, middle_across), (half_along, half_across) = (
-        ((low + high) / 2.0).tolist(),
-        ((high - low) / 2.0).tolist(),
-    )
-    return (middle_along, half_along), (middle_across, half_across)
+    middles, halves = ((low + high) / 2.0).tolist(), ((high - low) / 2.0).tolist()
+    return (middles[0], halves[0]), (middles[1], halves[1])
 
 
 def split_of(press: int) -> DatasetSplit:

@@ -86,7 +86,7 @@ def test_a_path_that_moves_aside_stays_on_the_pad():
     assert np.min(ends, axis=0) == pytest.approx(0.0, abs=0.3)
     assert np.min(ends) >= -1e-9
     far = indenter.model_copy(update={"path": (PathPose(push_mm=1.0, along_mm=45.0),)})
-    with pytest.raises(SimulateError, match="and indenter.path moves it aside"):
+    with pytest.raises(SimulateError, match=r"and indenter\.path moves it aside"):
         planned_shards(plan_of(design=design.model_copy(update={"indenter": far}), press="finite elements"), 2)
 
 
