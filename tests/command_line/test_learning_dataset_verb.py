@@ -11,8 +11,8 @@ import pytest
 from data_schemas import DatasetShard, LearningDataset, SimulateError
 from data_schemas.storage import manifest_faults, read_record
 from finray_calib.cli.main import main
-from finray_calib.exchange import read_shard
 from tests.command_line.running import Program
+from tests.simulate.shards import read_shard
 
 SMALL = "--size 40x30 --presses-per-shard 1 --lights 1 --paints 2 --samples 2 --radius-mm 3 5 --depth-mm 0.4 1.2"
 WORDS = f"baby-48x18 {SMALL} --out out"

@@ -9,7 +9,6 @@ import pytest
 
 from data_schemas import DatasetPlan, PathPose, SimulateError, provenance
 from finray_calib.cli._study_run import stand_in_paints
-from finray_calib.exchange import read_shard
 from sim import preset_design
 from sim.experiments import (
     DEPTH_ZERO,
@@ -30,6 +29,7 @@ from sim.studies import DatasetTask, planned_shards, run_dataset, sampled_light,
 from sim.studies import _dataset as datasets
 from sim.studies import _engine as engines
 from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape
+from tests.simulate.shards import read_shard
 
 
 def plan_of(**changes):
@@ -151,7 +151,7 @@ def test_a_shard_has_no_time_and_no_owner_and_reads_back_by_the_rules_of_webdata
     with tarfile.open(fileobj=io.BytesIO(content)) as archive:
         assert {(info.mtime, info.uid, info.uname, info.mode) for info in archive} == {(0, 0, "", 0o644)}
     (tmp_path / "shard.tar").write_bytes(content)
-    assert list(read_shard(tmp_path / "shard.tar")) == [
+    assert read_shard(tmp_path / "shard.tar") == [
         {"__key__": "000001", "json": {"press": 1}, "rgb.png": b"1"},
         {"__key__": "000002", "json": {}, "rgb.png": b"2"},
     ]
