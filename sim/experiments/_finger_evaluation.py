@@ -20,14 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, NormalErrorChange, SimulateError
 from finray_calib.decide import LightBasis, error_change
-from finray_calib.sensing import uniformity
 from sim.experiments import light_paths, with_one_panel
 from sim.experiments._light_angle import (
-    OTHER_TILTS_DEG,
     POINTS_ACROSS,
     POINTS_ALONG,
-    QUARTERS,
-    SMALL_TILT_DEG,
     FacetTable,
     colour_separations_deg,
     exposed_table,
@@ -37,6 +33,7 @@ from sim.experiments._light_angle import (
     normal_sigmas_deg,
     panels_in_the_way,
     rows_along,
+    uniformities,
 )
 from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._paint_choice import PaintDraws, PaintEmission, UnpaintedFinger, camera_column, camera_radiance
@@ -493,14 +490,13 @@ def _evaluated(
         errors_deg = held_out_errors_deg(table, sensor, seed)[0]
     by_place = errors_at(table.places_mm, errors_deg, places_mm)
     white = table.signal_e[0, :, :, 0]
-    even = [uniformity((one / one.mean(axis=0)).mean(axis=-1)) for one in white]
     return FingerEvaluation(
         normal_error_deg=float(by_place.mean()),
         error_by_place_deg=by_place,
         places_mm=places_mm,
         one_pixel_sigma_deg=float(np.median(normal_sigmas_deg(table, sensor)[0], axis=-1).mean()),
         separation_deg=float(np.median(colour_separations_deg(table)[0], axis=-1).mean()),
-        evenness_rel=float(np.mean(even)),
+        evenness_rel=float(uniformities(table)[0].mean()),
         brightness_rel=float(rgb[:, :, 0].mean()),
         electrons_per_radiance=float(np.mean(white.sum(axis=(1, 2)) / rgb[:, :, 0].sum(axis=(1, 2)))),
         clipped_share=float(table.clipped_share[0]),
@@ -530,5 +526,4 @@ def errors_at(points_mm: Floats, errors_deg: Floats, places_mm: Floats) -> Float
 
 def _blind_error_deg() -> float:
     """Return the mean tilt of the facets."""
-    tilts = [0.0, *([SMALL_TILT_DEG] * QUARTERS), *(tilt for tilt, _ in OTHER_TILTS_DEG for _ in range(QUARTERS))]
-    return float(np.mean(tilts))
+    return float(np.degrees(np.arctan(np.linalg.norm(facet_slopes(), axis=1))).mean())

@@ -400,7 +400,7 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
             "R, G and B, each relative to its mean over the pad",
             unit="1",
             larger_is_better=True,
-            values=_uniformities(table),
+            values=uniformities(table),
         ),
         AngleObjective(
             name="colour separation",
@@ -494,7 +494,7 @@ def _relative_frames(signal_e: Floats, sensor: Sensor, seed: list[int]) -> Float
     return frames_e(signal_e, FRAMES, sensor, EXPOSURE_S, np.random.default_rng(seed)) / signal_e[:, :1, None]
 
 
-def _uniformities(table: FacetTable) -> Floats:
+def uniformities(table: FacetTable) -> Floats:
     """Return the uniformity of the coat without contact, (angle, repeat)."""
     white_e = table.signal_e[..., 0, :]
     luminance = (white_e / white_e.mean(axis=2, keepdims=True)).mean(axis=-1)
