@@ -123,8 +123,13 @@ def decimals_for(half_width: float) -> int:
     """Return how many decimals show a half-width with two significant digits, at most 6; below 0 for tens."""
     if not (math.isfinite(half_width) and half_width > 0):
         return 3
-    magnitude = math.floor(math.log10(half_width))
-    return min(_SIGNIFICANT_OF_HALF_WIDTH - 1 - magnitude, _MOST_DECIMALS)
+    digits = _SIGNIFICANT_OF_HALF_WIDTH
+    return min(digits - 1 - _magnitude(half_width, digits), _MOST_DECIMALS)
+
+
+def _magnitude(value: float, digits: int) -> int:
+    """Return the power of ten of the first digit of a number that is rounded to some digits: 9.96 begins with 10."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def interval_text(estimate: float, low: float, high: float, unit: str = "", most_decimals: int = 6) -> str:
@@ -192,7 +197,7 @@ def significant(value: float, digits: int = 3) -> str:
         return fixed(value, 0)
     if not 1e-4 <= abs(value) < 1e5:
         return f"{value:.{digits - 1}e}"
-    return fixed(value, digits - 1 - math.floor(math.log10(abs(value))))
+    return fixed(value, digits - 1 - _magnitude(value, digits))
 
 
 def percent(fraction: float) -> str:

@@ -508,9 +508,11 @@ class CallThread:
                 return answer.result()
             raise NoAnswerError from None
 
-    def post(self, function: Callable[[], object]) -> None:
-        """Make a call when those before it have ended; nobody waits for its result."""
-        self._calls.put((function, Future()))
+    def post(self, function: Callable[[], T]) -> Future[T]:
+        """Make a call when those before it have ended; return what will hold its result, for who wants to wait."""
+        answer: Future[T] = Future()
+        self._calls.put((function, answer))
+        return answer
 
     def close(self, last: Callable[[], object], limit_s: float) -> None:
         """Make one last call when those before it have ended, and end the thread; wait at most `limit_s` seconds."""

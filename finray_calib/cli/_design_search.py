@@ -262,11 +262,12 @@ def _objectives(names: Sequence[str]) -> "tuple[DesignObjective, ...]":
 def light_measure(
     arguments: argparse.Namespace, design: "FingerDesign", folder: Path
 ) -> "tuple[LightMeasure, list[Path]]":
-    """Return what light is measured with, and the files of the paints."""
+    """Return what light is measured with, and the files of the paints and of the camera."""
     import numpy as np
 
     from data_schemas import PaintCalibration
     from data_schemas.storage import camera_response, read_record
+    from sim import design_digests, read_design_files
     from sim.experiments import EvaluationSettings, LightMeasure, PaintDraws
     from sim.optics import read_calibration
 
@@ -276,7 +277,7 @@ def light_measure(
         paints = {colour: PaintDraws.of(read_record(file, PaintCalibration)) for colour, file in files.items()}
     else:
         paints = {colour: PaintDraws(one, np.atleast_2d(one.emission_per_nm)) for colour, one in optics.items()}
-    camera = design.camera
+    camera, named = design.camera, read_design_files(design, folder, ["camera"])
     return LightMeasure(
         response=camera_response(camera.response, folder),
         renderer=open_engine(arguments.engine, threads=1),
@@ -284,7 +285,8 @@ def light_measure(
         sources=sources,
         settings=EvaluationSettings(seed=arguments.seed),
         calibration=None if camera.calibration is None else read_calibration(folder / camera.calibration),
-    ), list(files.values())
+        files=design_digests(design, folder, ["camera"]),
+    ), [*files.values(), *named.values()]
 
 
 def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") -> Path:
@@ -369,10 +371,11 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.studies import tolerance_page
-    from sim import given_design
+    from sim import given_design, read_design_files
     from sim.experiments import ToleranceSettings
 
     design, files, folder = given_design(arguments.design)
+    files = [*files, *read_design_files(design, folder, ["camera"]).values()]
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")
     page = new_page_beside(out)
     paint_paths = both_paint_files(arguments)
@@ -413,9 +416,7 @@ def _tolerances(
     error = FingerError(evaluators, design, paints, arguments.calibration)
     with progress_bar(f"tolerances of {design.name}") as progress:
         found = study_tolerances(error, design, paints, varied, settings, progress)
-    files = both_paint_files(arguments)
-    inputs = input_digests(files.values())
-    digests = {colour: inputs[file.as_posix()] for colour, file in files.items()}
+    digests = {colour: input_digests([file])[file.as_posix()] for colour, file in both_paint_files(arguments).items()}
     places = [float(place) for place in evaluators(arguments.seed).contact_places_mm(design)]
     return found.record(design, digests, varied, settings, places, arguments.calibration)
 
@@ -482,12 +483,11 @@ def run_assess(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import write_bytes
     from finray_calib.reports import assessment_page, decision_page, finger_outline
     from finray_calib.reports.studies import tolerance_page
-    from sim import design_inputs, design_toml, given_design, with_pad_size
+    from sim import design_toml, given_design, read_design_files, with_pad_size
     from sim.experiments import ToleranceSettings
 
     design, files, folder = given_design(arguments.design)
-    files = design_inputs(design, files[0]) if files else files
-    files += [] if design.indenter.file is None else [folder / design.indenter.file]
+    files = [*files, *read_design_files(design, folder).values()]
     design = design if arguments.pad is None else with_pad_size(design, *arguments.pad)
     paint_paths = both_paint_files(arguments)
     paints = _paint_draws(paint_paths, arguments.paints_as_given)  # what is wrong with them is told before any work

@@ -77,7 +77,11 @@ def _long_grasp(arguments: argparse.Namespace) -> LongWork:
 
 def _mass(text: str) -> float:
     """Parse a mass."""
-    return 0.0 if text.strip() == "0" else number_within("0 or a mass in kg", (1e-6, LARGEST_MASS_KG))(text)
+    of_a_body = number_within("0 or a mass in kg", (1e-6, LARGEST_MASS_KG))
+    try:
+        return 0.0 if float(text) == 0.0 else of_a_body(text)
+    except ValueError:
+        return of_a_body(text)
 
 
 def _paths(out: Path) -> dict[str, Path]:

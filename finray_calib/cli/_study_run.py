@@ -277,7 +277,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
     """Make a data set for learning; store its shards, index, card and record."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import clear_leftovers
-    from sim import design_inputs
+    from sim import read_design_files
     from sim.studies import DatasetTask, planned_shards, run_dataset
 
     plan, path = _dataset_plan(arguments)
@@ -288,9 +288,9 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
         raise SimulateError(f"{out}: holds something other than a data set; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     clear_leftovers(out)
-    read = [] if path is None else design_inputs(plan.design, path)
-    origin = provenance(command_line(), input_digests([*read, *files]), plan.seed)
     folder = Path() if path is None else path.parent
+    read = [*([] if path is None else [path]), *read_design_files(plan.design, folder, ["camera"]).values()]
+    origin = provenance(command_line(), input_digests([*read, *files]), plan.seed)
     task = DatasetTask(plan, paints, sources, arguments.engine, out.absolute(), folder.absolute(), origin)
     with progress_bar("data set") as progress:
         kept, failures = run_dataset(task, shards, arguments.workers, arguments.scheduler, progress)

@@ -151,7 +151,7 @@ def begins_from(press: SimulatedPress, no_contact: Floats) -> bool:
     if press.no_contact.shape != no_contact.shape:
         return False
     alike = press.no_contact == no_contact.astype(press.no_contact.dtype)
-    return bool(alike.all() or (alike | ~np.isfinite(no_contact)).all())
+    return bool((alike | ~np.isfinite(no_contact)).all())
 
 
 def _noise_of_rest(press: SimulatedPress, no_contact: Floats) -> Floats:

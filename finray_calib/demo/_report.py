@@ -39,7 +39,6 @@ from finray_calib.demo._results import (
     summary,
     trust_limits,
     truth_statement,
-    validation_statement,
 )
 from finray_calib.demo._stages import (
     CAPTURE,
@@ -68,6 +67,7 @@ from finray_calib.reports import (
     ReportPage,
     ReportTable,
     angle_figure,
+    capture_sentence,
     clipped_remark,
     comparison_methods,
     decimals_for,
@@ -271,7 +271,7 @@ def _decide(results: DemoResults) -> Content:
         f"{sweep.values.shape[1]} repeats that share their random draws; random curves through them give the "
         f"probability of each angle.{touched}",
         picture_rows=((picture,),),
-        remarks=(decision.sentence.removeprefix(decision.headline).strip(), validation_statement(decision)),
+        remarks=(decision.sentence.removeprefix(decision.headline).strip(), capture_sentence(decision)),
         tables=(decision_table(decision),),
         parts=(places_part(decision),) if len(decision.contacts) > 1 else (),
     )

@@ -30,7 +30,7 @@ from finray_calib.reports import (
     FittedPaint,
     Json,
     PaintTruth,
-    decision_validation,
+    capture_sentence,
     fit_summary,
     model_statement,
     percent,
@@ -238,19 +238,8 @@ def trust_limits(results: DemoResults) -> tuple[str, ...]:
         f"Capture: {results.capture.source}.",
         *(model_statement(paint.fitted, paint.truth) for paint in paints),
         *fit_warnings,
-        validation_statement(results.decision),
+        capture_sentence(results.decision),
         *(f"Withheld: {reason}." for reason in results.report.withheld),
-    )
-
-
-def validation_statement(decision: LightAngleDecision) -> str:
-    """Say whether the sim-to-real error entered the decision."""
-    if not decision.validated or decision.discrepancy_rel is None:
-        return decision_validation(decision)
-    return (
-        f"The decision includes a sim-to-real error of the objective of {percent(decision.discrepancy_rel)} (one "
-        "standard deviation), taken from the comparison with one capture at one light angle; it is assumed that this "
-        "error is the same at other angles."
     )
 
 

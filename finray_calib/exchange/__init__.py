@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         index_csv,
         index_parquet,
         parquet_table,
-        read_shard,
     )
     from finray_calib.exchange._mesh_files import PrintFormat, outline_solid_stl, printable_parts, vtu_bytes
     from finray_calib.exchange._nexus import write_bluesky_documents, write_nexus
@@ -117,7 +116,6 @@ __all__ = [
     "read_recipe",
     "read_renders",
     "read_session_frames",
-    "read_shard",
     "read_taxim",
     "read_tuning",
     "recipe_names",

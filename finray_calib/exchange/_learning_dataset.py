@@ -1,4 +1,4 @@
-"""What stands beside the shards of a data set for learning: its index as CSV and Parquet, its card; and its reader.
+"""What stands beside the shards of a data set for learning: its index as CSV and Parquet, and its card.
 
 Shards follow the rules of WebDataset: files of one sample share the name up to the first dot and stand together.
 """
@@ -7,16 +7,12 @@ import csv
 import importlib
 import importlib.util
 import io
-import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
-from pathlib import Path
 from typing import Any, Final
 
-from data_schemas import DatasetSample, DatasetShard, LearningDataset, Provenance, RecordError
-from data_schemas.storage import open_regular, parse_json
+from data_schemas import DatasetSample, DatasetShard, LearningDataset, Provenance
 
-_LARGEST_MEMBER_BYTES: Final = 256 << 20
 _FIELDS: Final = (
     "sample",
     "key",
@@ -108,54 +104,6 @@ def _of_one_kind(values: Sequence[Any]) -> list[Any]:
     if len(kinds) <= 1:
         return list(values)
     return [value if value is None or isinstance(value, str) else str(value) for value in values]
-
-
-def read_shard(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the samples of a shard by the rules of WebDataset.
-
-    Parameters
-    ----------
-    path
-        TAR file.
-
-    Yields
-    ------
-    dict
-        ``__key__``, and by ending (``rgb.png``, ``json`` and so on) the bytes of each file; of JSON the object.
-
-    Raises
-    ------
-    RecordError
-        It is no TAR file, or is cut off.
-    """
-    with open_regular(path) as file:
-        try:
-            with tarfile.open(fileobj=file, mode="r:") as archive:
-                yield from _grouped(archive, path)
-        except tarfile.TarError as error:
-            raise RecordError(
-                f"{path}: is not a shard of a data set, or it is cut off ({error}); compute it again"
-            ) from None
-
-
-def _grouped(archive: tarfile.TarFile, path: Path) -> Iterator[dict[str, Any]]:
-    """Yield files that share a key as one sample."""
-    sample: dict[str, Any] = {}
-    for member in archive:
-        key, _, ending = member.name.partition(".")
-        stream = archive.extractfile(member) if member.isreg() and ending else None
-        if stream is None or member.size > _LARGEST_MEMBER_BYTES:
-            raise RecordError(
-                f"{path}: {member.name} is not a file of a sample; give only files KEY.ENDING of at most 256 MB"
-            )
-        if sample and sample["__key__"] != key:
-            yield sample
-            sample = {}
-        content = stream.read()
-        sample["__key__"] = key
-        sample[ending] = parse_json(content, path) if ending == "json" else content
-    if sample:
-        yield sample
 
 
 _CARD: Final = """\

@@ -448,5 +448,4 @@ def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, byte
 def _counts_png(counts: NDArray[np.uint16], capture: TactileCapture) -> bytes:
     """Return counts above the black level as a PNG image of 8 or 16 bits."""
     above = np.maximum(counts.astype(np.int64) - round(capture.black_level_dn), 0)
-    image = above.astype(np.uint8 if capture.bit_depth == 8 else np.uint16)
-    return cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()
+    return png(above.astype(np.uint8) if capture.bit_depth == 8 else above.astype(np.uint16))

@@ -207,12 +207,12 @@ def design_filters(
     """
     kept = _kept(optics, keep_nm)
     wanted = (len(optics.filters) if number is None else number) - len(kept)
-    offered = [f for f in catalogue if _usable(f, optics)]
+    offered = _other_than(kept, [f for f in catalogue if _usable(f, optics)])
     if not 1 <= wanted <= len(offered):
         raise FitError(
             f"design: the number of filters must be {len(kept) + 1} to {len(kept) + len(offered)} (--number), but "
-            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} of the catalogue pass no "
-            "laser light"
+            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} others of the catalogue pass "
+            "no laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):
@@ -333,12 +333,24 @@ def _usable(candidate: CatalogueFilter, optics: Optics) -> bool:
     return candidate.centre_nm - candidate.width_nm > optics.laser.wavelength_nm + _LASER_APART_NM
 
 
+def _name(candidate: CatalogueFilter) -> str:
+    """Return what a catalogue's filter is called in the rig."""
+    return f"{candidate.centre_nm:g}/{candidate.width_nm:g}"
+
+
+def _other_than(kept: Sequence[BandPassFilter], offered: Sequence[CatalogueFilter]) -> list[CatalogueFilter]:
+    """Return filters of names that are not taken by those that stay, the first of each name: a wheel tells by name."""
+    taken = {f.name for f in kept}
+    first = {_name(f): f for f in reversed(offered)}
+    return [f for f in offered if f is first[_name(f)] and _name(f) not in taken]
+
+
 def _as_filter(candidate: CatalogueFilter, optics: Optics, slot: int) -> BandPassFilter:
     """Return a catalogue's filter as the rig would hold it: blocking and uncertainties of the rig's first filter."""
     like = next(f for f in optics.filters if f.name != optics.excitation_filter)
     return BandPassFilter(
         slot=slot,
-        name=f"{candidate.centre_nm:g}/{candidate.width_nm:g}",
+        name=_name(candidate),
         center_nm=candidate.centre_nm,
         fwhm_nm=candidate.width_nm,
         peak_transmission=candidate.peak_transmission,

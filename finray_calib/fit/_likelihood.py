@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import FitError
-from finray_calib.fit._band_data import LEAST_BANDS, BandData, Reference, decisive_leaks
+from finray_calib.fit._band_data import BandData, Reference, decisive_leaks
 from finray_calib.fit._prior import NO_DISCREPANCY, Discrepancy, EmissionPrior
 from finray_calib.fit.posterior_kernel import (
     COVARIANCE,
@@ -29,8 +29,6 @@ from finray_calib.fit.posterior_kernel import (
     evaluate,
 )
 from finray_calib.spectra import BAND_NODES, EmissionFamily, machine_threads, skew_shape_table
-
-__all__ = ["LEAST_BANDS", "BandData", "LogPosterior"]
 
 FloatArray = NDArray[np.float64]
 

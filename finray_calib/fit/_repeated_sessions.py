@@ -5,9 +5,9 @@ r"""One paint measured in several sessions: their common band signals, with what
 
 with m what the sessions share, :math:`g_i` the level of session i (how the sample lies, laser against lamp, focus),
 :math:`h_{ib}` what filter b has of its own in session i, common to its channels (homing of the wheel), and
-:math:`S_i` the covariance of the session less the part of the white reference, :math:`u^2 m m^T`. That part is common
-to all sessions: no repetition averages it away, and it is added again at the end. The same holds for what the fit
-itself knows of the rig (centres of filters, response, lamp).
+:math:`S_i` the covariance of the session less the part of the white reference, :math:`u^2 y_i y_i^T`. That part is
+common to all sessions: no repetition averages it away, it does not let sessions differ, and :math:`u^2 m m^T` is added
+at the end. The same holds for what the fit itself knows of the rig (centres of filters, response, lamp).
 
 Every session counts alike: weights by covariances would be drawn to low values, as relative errors of a large value
 forgive more. Few sessions hardly tell :math:`\tau_g`. Both are integrated over their restricted likelihood and
@@ -198,14 +198,15 @@ class _Common:
     def __init__(
         self, y: Floats, covariances: Floats, usable: NDArray[np.bool_], filters: NDArray[np.int64], tile_rel: float
     ):
-        self._all = (y, covariances, usable, filters, tile_rel)
+        without_tile = np.array(
+            [_without_tile(c, np.where(u, v, 0.0), tile_rel, u) for c, v, u in zip(covariances, y, usable, strict=True)]
+        )
+        self._all = (y, without_tile, usable, filters)
         self._kept = np.flatnonzero(usable.any(axis=0))
         self._y, self._usable = np.where(usable, y, 0.0)[:, self._kept], usable[:, self._kept]
         self._mean = self._y.sum(axis=0) / self._usable.sum(axis=0)
         block = np.ix_(self._kept, self._kept)
-        self._own = [
-            _without_tile(c[block], self._mean, tile_rel, u) for c, u in zip(covariances, self._usable, strict=True)
-        ]
+        self._own = [c[block] for c in without_tile]
         self._outer = np.outer(self._mean, self._mean)
         same = np.equal.outer(filters[self._kept], filters[self._kept])
         self._of_filter = self._outer * same
@@ -272,11 +273,14 @@ class _Common:
         )
 
     def _departs(self, one: int) -> bool:
-        """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter."""
+        """Whether a session lies outside of what the others predict of it, at the upper ends of their scatter.
+
+        An error of the white reference is common to it and to them, and cancels.
+        """
         from scipy.special import chdtrc  # here, as every fit would load it
 
         others = [i for i in range(len(self._y)) if i != one]
-        rest = _Common(self._all[0][others], self._all[1][others], self._all[2][others], *self._all[3:])
+        rest = _Common(self._all[0][others], self._all[1][others], self._all[2][others], self._all[3], tile_rel=0.0)
         rows = np.intersect1d(np.flatnonzero(self._all[2][one]), rest._kept)
         block, mean = np.ix_(rows, rows), rest.values[rows]
         same = np.equal.outer(self._all[3][rows], self._all[3][rows])
@@ -286,9 +290,9 @@ class _Common:
         return bool(chdtrc(rows.size, misfit) < DEPARTS_P)
 
 
-def _without_tile(covariance: Floats, mean: Floats, tile_rel: float, usable: NDArray[np.bool_]) -> Floats:
-    """Return a covariance less what the white reference has in it, where it can hold that part."""
-    less = covariance - tile_rel**2 * np.outer(mean, mean)
+def _without_tile(covariance: Floats, y: Floats, tile_rel: float, usable: NDArray[np.bool_]) -> Floats:
+    """Return the covariance of values less what the white reference has in it, where it can hold that part."""
+    less = covariance - tile_rel**2 * np.outer(y, y)
     rows = np.flatnonzero(usable)
     least = np.linalg.eigvalsh(less[np.ix_(rows, rows)]).min()
     return less if least > 0 else covariance

@@ -205,10 +205,11 @@ def laser_profile(
 
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = laser_white.signal_dn_per_s / lamp_white.signal_dn_per_s
-        variance = laser_white.variance / laser_white.signal_dn_per_s**2
-        variance += lamp_white.variance / lamp_white.signal_dn_per_s**2
-        # The mean of a noisy logarithm lies half its variance too low.
-        log_ratio = np.log(ratio / region_ratio.astype(np.float32)[channel]) + 0.5 * variance
+        of_laser = laser_white.variance / laser_white.signal_dn_per_s**2
+        of_lamp = lamp_white.variance / lamp_white.signal_dn_per_s**2
+        variance = of_laser + of_lamp
+        # The mean of a noisy logarithm lies half its variance too low, and the lamp's is subtracted.
+        log_ratio = np.log(ratio / region_ratio.astype(np.float32)[channel]) + 0.5 * (of_laser - of_lamp)
     positive = (laser_white.signal_dn_per_s > 0) & (lamp_white.signal_dn_per_s > 0)
     good = by_majority(positive & np.isfinite(log_ratio) & (variance < SMALLEST_PIXEL_SNR**-2), channel)
     weight = np.zeros(channel.shape, np.float32)

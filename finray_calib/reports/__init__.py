@@ -39,10 +39,10 @@ if TYPE_CHECKING:
         true_value,
     )
     from finray_calib.reports._decision_page import (
+        capture_sentence,
         decision_numbers,
         decision_page,
         decision_table,
-        decision_validation,
         mounting_picture,
         places_part,
         verdict_light,
@@ -194,6 +194,7 @@ __all__ = [
     "batch_lines",
     "batch_page",
     "camera_page",
+    "capture_sentence",
     "certificate_page",
     "certificate_pdf",
     "check_report",
@@ -206,7 +207,6 @@ __all__ = [
     "decision_numbers",
     "decision_page",
     "decision_table",
-    "decision_validation",
     "denoised",
     "display_remark",
     "display_white",

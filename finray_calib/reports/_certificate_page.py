@@ -157,7 +157,7 @@ def traceability_of(results: Sequence[CertifiedResult], *, is_simulated: bool = 
 def _head(details: CertificateDetails, session: CaptureSession | None, issued_on: date) -> tuple[tuple[str, str], ...]:
     """Return who measured what for whom, and when."""
     measured = NOT_RECORDED
-    if session is not None:
+    if session is not None and session.frames:
         days = sorted({frame.captured_utc[:10] for frame in session.frames})
         measured = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
     return (
@@ -305,8 +305,9 @@ def _basis(paint: PaintCalibration) -> str:
 
 def _conditions(paint: PaintCalibration, details: CertificateDetails, session: CaptureSession | None) -> str:
     """Say under which conditions."""
-    stated = details.conditions or "temperature and humidity were not recorded"
-    told = f"As the laboratory states: {stated}." if details.conditions else f"{stated.capitalize()}."
+    told = "Temperature and humidity were not recorded."
+    if details.conditions:
+        told = f"As the laboratory states: {details.conditions}."
     if session is None:
         return f"{told} No single session of the frames was found."
     region = session.plan.region

@@ -494,7 +494,7 @@ class ContactSheet:
         for i, tile in enumerate(self._tiles):
             top, left = i // columns * height, i % columns * THUMBNAIL_PX
             sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
-        return cv2.imencode(".png", np.ascontiguousarray(sheet[..., ::-1]))[1].tobytes()
+        return png_bytes(sheet)
 
     def circles_csv(self) -> str:
         """Return the circles, a line each: image, column_px, row_px, radius_px, source."""

@@ -12,6 +12,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,7 +39,7 @@ from data_schemas import (
     WarmUp,
     Witness,
 )
-from rigs import CallThread, Clock, NoAnswerError, OpenRig, RawFrame, open_camera
+from rigs import CallThread, Clock, OpenRig, RawFrame, open_camera
 from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES, WHEEL_DEADLINE_S, shine
 from rigs.capture._plan import Step
 from rigs.light_guard import FULL_SCALE_LEVEL, LightLevel, LightLostError, LightMeter
@@ -242,16 +243,15 @@ def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> t
         return opened.camera.expose(exposure_s, limit_s)
 
     thread = CallThread("exposure of a latency")
-    exposing = _Exposing(thread, expose)
     try:
-        exposing.begin()
+        answer = thread.post(expose)
         while not requested:
             time.sleep(0.0005)
         time.sleep(max(requested[0] + delay_s - time.monotonic(), 0.0))
         told_s = time.monotonic()
         with opened.lamp.lit():
             confirmed_s = time.monotonic()
-            raw = exposing.frame(limit_s)
+            raw = _answered(answer, limit_s)
     finally:
         # the camera is free again before anybody else asks it for anything
         ended: list[bool] = []
@@ -264,34 +264,14 @@ def _switched_on_within(opened: OpenRig, exposure_s: float, delay_s: float) -> t
     return told_s - requested[0], confirmed_s - requested[0], raw
 
 
-class _Exposing:
-    """An exposure that runs in a thread while this one does something else."""
-
-    def __init__(self, thread: CallThread, expose: Callable[[], RawFrame]) -> None:
-        self._thread, self._expose = thread, expose
-        self._found: list[RawFrame | BaseException] = []
-
-    def begin(self) -> None:
-        """Start it."""
-
-        def act() -> None:
-            try:
-                self._found.append(self._expose())
-            except BaseException as error:
-                self._found.append(error)
-
-        self._thread.post(act)
-
-    def frame(self, limit_s: float) -> RawFrame:
-        """Return its frame, or raise what it raised."""
-        try:
-            self._thread.call(lambda: None, limit_s)
-        except NoAnswerError:
-            raise TimedOutError(f"camera: has not delivered its frame within {limit_s:g} s; check its cable") from None
-        found = self._found[0]
-        if isinstance(found, BaseException):
-            raise found
-        return found
+def _answered(answer: Future[RawFrame], limit_s: float) -> RawFrame:
+    """Return the frame of an exposure that runs in a thread, or raise what it raised."""
+    try:
+        return answer.result(limit_s)
+    except TimeoutError:
+        if answer.done():  # the camera's own
+            raise
+        raise TimedOutError(f"camera: has not delivered its frame within {limit_s:g} s; check its cable") from None
 
 
 LONGEST_SIGHT_S: Final = 0.05
@@ -543,7 +523,7 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     """
     before, lit, after = (_read_with(opened, diode, light) for light in ("off", "laser", "off"))
     off = np.concatenate([before, after])
-    if lit.max() * FULL_SCALE_LEVEL >= FULL_SCALE_LEVEL:
+    if lit.max() >= 1.0:
         raise CaptureError(
             "photodiode: reads its full scale with the laser on, so it is saturated and cannot show whether the "
             "laser is off; take a smaller resistor, or move the photodiode away from the spot"
@@ -558,6 +538,7 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
             "photodiode: reads the same with the laser on and off, so it cannot show whether the laser is off; point "
             "the photodiode at the spot, check its wires and cover it from room light"
         )
+    # closed is above off by more than the threshold is above closed
     if contrast.closed_rel is not None and 2.0 * contrast.closed_rel - contrast.off_rel > contrast.threshold_rel:
         raise CaptureError(
             f"photodiode: reads {100 * contrast.closed_rel:.2g} % of its scale with the beam closed, and only "

@@ -170,6 +170,10 @@ class FingerState:
             self._lost_mm += 1e-2 * fault.value * abs(way_mm) * (axis == self.stage.press_axis)
         self.counted_mm[axis] = to_mm
 
+    def found_again(self) -> None:
+        """Have the controller's count be where the stage stands."""
+        self._lost_mm = 0.0
+
     @property
     def indentation_mm(self) -> float:
         """How deep the indenter is in the pad."""
@@ -200,7 +204,6 @@ class SimulatedStage:
 
     state: FingerState
     is_known: bool = False
-    _speed_mm_per_s: float = 0.0
 
     def identity(self) -> PressDevice:
         """Return what the stage is."""
@@ -211,11 +214,12 @@ class SimulatedStage:
         return dict(self.state.counted_mm) if self.is_known else None
 
     def home(self, deadline_s: float, watch: Callable[[], None]) -> None:
-        """Go to the zero of all axes."""
+        """Find the zero of all axes by their switches, after which no steps are lost; end clear of the pad."""
         watch()
         self.state.advance(min(2.0, deadline_s))
         stage = self.state.stage
         self.state.counted_mm = {stage.press_axis: stage.clear_mm, stage.pad_axis: stage.base_mm}
+        self.state.found_again()
         self.is_known = True
 
     def counted_mm(self) -> dict[str, float]:

@@ -37,7 +37,7 @@ from sim.experiments._design_sensitivities import (
     design_value,
 )
 from sim.experiments._finger_evaluation import EvaluationSettings, FingerEvaluator, LightMeasure
-from sim.experiments._light_angle import in_the_way
+from sim.experiments._light_angle import panels_in_the_way
 from sim.experiments._paint_choice import PaintDraws
 from sim.mechanics import LoadedFinger
 from sim.optics import Progress
@@ -162,12 +162,14 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
     one = _Field.of(name.strip())
     start = one.value(design)
     low, high = _limits(name.strip(), limits, start) if separator else _usual_limits(name.strip(), start)
+    is_integer = isinstance(start, int)
+    if is_integer and (low := float(np.ceil(low))) >= (high := float(np.floor(high))):
+        raise SimulateError(f"--within: {text} holds no two whole numbers to choose from; give wider limits")
     for limit in (low, high):
         try:
-            one.changed(design, round(limit) if isinstance(start, int) else limit)
+            one.changed(design, round(limit) if is_integer else limit)
         except SimulateError as refused:
             raise SimulateError(f"--within: {name.strip()} = {limit:g} is not possible: {refused}") from None
-    is_integer = isinstance(start, int)
     return DesignParameter(field=name.strip(), low=low, high=high, is_integer=is_integer, start=float(start))
 
 
@@ -265,7 +267,7 @@ class DesignSpace:
             rest = self._shape(design)
         except SimulateError:
             return False
-        return not any(in_the_way(panel, rest) for panel in design.lights)
+        return not panels_in_the_way(design, rest)
 
     def _shape(self, design: FingerDesign) -> FingerShape:
         """Return the surfaces of a finger without contact, made once for equal pads and mirrors."""
@@ -292,7 +294,7 @@ _MOST_MAPPED: Final = 400
 
 
 def map_axis(design: FingerDesign, text: str) -> tuple[str, Floats]:
-    """Return field and values of one axis of a map from FIELD=LOW:HIGH:STEP, both ends included.
+    """Return field and values of one axis of a map from FIELD=LOW:HIGH:STEP; HIGH is one where steps end there.
 
     Raises
     ------
@@ -359,7 +361,7 @@ def map_designs(
                 _Field.of(first).changed(design, float(at_first[i])), float(at_second[j])
             )
             found = evaluator.evaluate(finger, paints)
-            refused = refused or (f"the panel collides with {found.in_the_way}" if found.in_the_way else "")
+            refused = refused or (f"a panel collides with {found.in_the_way}" if found.in_the_way else "")
             if not found.in_the_way:
                 seen = found.seen_share * found.error_by_place_deg.mean(axis=1)
                 errors[i, j] = seen + (1.0 - found.seen_share) * found.blind_error_deg
@@ -450,7 +452,7 @@ class DesignEvaluations:
         }
         if self._light is not None:
             settings = asdict(self._light.again(again, design.pad.length_mm))
-            given |= {"settings": settings, "paints": dict(self._light.sources)}
+            given |= {"settings": settings, "paints": dict(self._light.sources), **self._light.files}
         return hashlib.sha256(json.dumps(given, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def _values(self, design: FingerDesign, again: int) -> dict[str, float]:

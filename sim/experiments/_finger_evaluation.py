@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Final, TypeVar
 
@@ -20,23 +20,20 @@ from threadpoolctl import threadpool_limits
 
 from data_schemas import CameraCalibration, FingerDesign, ImpossibleFingerError, NormalErrorChange, SimulateError
 from finray_calib.decide import LightBasis, error_change
-from finray_calib.sensing import uniformity
 from sim.experiments import light_paths, with_one_panel
 from sim.experiments._light_angle import (
-    OTHER_TILTS_DEG,
     POINTS_ACROSS,
     POINTS_ALONG,
-    QUARTERS,
-    SMALL_TILT_DEG,
     FacetTable,
     colour_separations_deg,
     exposed_table,
     facet_shares,
     facet_slopes,
     held_out_errors_deg,
-    in_the_way,
     normal_sigmas_deg,
+    panels_in_the_way,
     rows_along,
+    uniformities,
 )
 from sim.experiments._optics_products import tactile_sensor
 from sim.experiments._paint_choice import PaintDraws, PaintEmission, UnpaintedFinger, camera_column, camera_radiance
@@ -112,6 +109,8 @@ class LightMeasure:
         Of the search; confirmations have other seeds and contact places.
     calibration
         Geometry of the camera; an ideal pinhole without it.
+    files
+        Field of the design -> SHA-256 of the file that it names; part of what an evaluation is known by.
     """
 
     response: CameraResponse
@@ -120,6 +119,7 @@ class LightMeasure:
     sources: Mapping[str, str]
     settings: EvaluationSettings
     calibration: CameraCalibration | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def again(self, number: int, length_mm: float) -> EvaluationSettings:
         """Return the settings of the n-th confirmation of fingers of a pad's length: another seed, other places."""
@@ -127,11 +127,8 @@ class LightMeasure:
             return self.settings
         rng = np.random.default_rng([self.settings.seed, number])
         places = np.sort(rng.uniform(0.1, 0.9, size=6)) * length_mm
-        values = asdict(self.settings) | {
-            "seed": int(rng.integers(2**31)),
-            "contact_places_mm": tuple(places.tolist()),
-        }
-        return EvaluationSettings(**values)
+        seed = int(rng.integers(2**31))
+        return replace(self.settings, seed=seed, contact_places_mm=tuple(places.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +161,7 @@ class FingerEvaluation:
     blind_error_deg
         Error where nothing is seen and the coat is taken as not tilted: mean tilt of the facets.
     in_the_way
-        Surface that the light panel passes through; empty where it can be mounted.
+        First surface that a light panel passes through; empty where all panels can be mounted.
     table
         Camera signals of the facets, with draws in the place of repeats; for a calibration by another finger.
     """
@@ -339,7 +336,9 @@ class FingerEvaluator:
         table = self._exposed(design, rgb, points_mm, shares, electrons_per_radiance)
         rest = self._rest(design)
         blocked = self._once(
-            "panel", [design.light.model_dump(mode="json"), _parts(design)], lambda: in_the_way(design.light, rest)
+            "panels",
+            [[panel.model_dump(mode="json") for panel in design.lights], _parts(design)],
+            lambda: panels_in_the_way(design, rest),
         )
         seen_share = len(points_mm) / (POINTS_ACROSS * POINTS_ALONG)
         return _evaluated(design, table, rgb, places, self.settings.seed, seen_share, blocked)
@@ -491,14 +490,13 @@ def _evaluated(
         errors_deg = held_out_errors_deg(table, sensor, seed)[0]
     by_place = errors_at(table.places_mm, errors_deg, places_mm)
     white = table.signal_e[0, :, :, 0]
-    even = [uniformity((one / one.mean(axis=0)).mean(axis=-1)) for one in white]
     return FingerEvaluation(
         normal_error_deg=float(by_place.mean()),
         error_by_place_deg=by_place,
         places_mm=places_mm,
         one_pixel_sigma_deg=float(np.median(normal_sigmas_deg(table, sensor)[0], axis=-1).mean()),
         separation_deg=float(np.median(colour_separations_deg(table)[0], axis=-1).mean()),
-        evenness_rel=float(np.mean(even)),
+        evenness_rel=float(uniformities(table)[0].mean()),
         brightness_rel=float(rgb[:, :, 0].mean()),
         electrons_per_radiance=float(np.mean(white.sum(axis=(1, 2)) / rgb[:, :, 0].sum(axis=(1, 2)))),
         clipped_share=float(table.clipped_share[0]),
@@ -528,5 +526,4 @@ def errors_at(points_mm: Floats, errors_deg: Floats, places_mm: Floats) -> Float
 
 def _blind_error_deg() -> float:
     """Return the mean tilt of the facets."""
-    tilts = [0.0, *([SMALL_TILT_DEG] * QUARTERS), *(tilt for tilt, _ in OTHER_TILTS_DEG for _ in range(QUARTERS))]
-    return float(np.mean(tilts))
+    return float(np.degrees(np.arctan(np.linalg.norm(facet_slopes(), axis=1))).mean())

@@ -219,6 +219,8 @@ def _smooth(angles_deg: Floats, values: Floats) -> Floats:
 
     Where the panel turns its back the curve has a kink, which no sum of few cosines has; it is dark there.
     """
+    if not values.max() > 0.0:
+        raise SimulateError("no path found light from the panel at any angle; give more paths (--samples)")
     bright = np.maximum(values, 0.0) / values.max()
     return np.asarray(np.linalg.lstsq(_cosines(angles_deg) * bright[:, None], values * bright)[0])
 

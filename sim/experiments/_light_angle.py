@@ -347,7 +347,7 @@ def angle_objectives(
         clipped_share=table.clipped_share,
         clipped_limit_share=CLIPPED_LIMIT,
         exposure_rel=table.exposure_rel,
-        in_the_way=tuple(in_the_way(design.light, rest) for design in designs),
+        in_the_way=tuple(panels_in_the_way(design, rest) for design in designs),
     )
 
 
@@ -401,7 +401,7 @@ def objectives_of(table: FacetTable, sensor: Sensor, seed: int) -> tuple[AngleOb
             "R, G and B, each relative to its mean over the pad",
             unit="1",
             larger_is_better=True,
-            values=_uniformities(table),
+            values=uniformities(table),
         ),
         AngleObjective(
             name="colour separation",
@@ -495,7 +495,7 @@ def _relative_frames(signal_e: Floats, sensor: Sensor, seed: list[int]) -> Float
     return frames_e(signal_e, FRAMES, sensor, EXPOSURE_S, np.random.default_rng(seed)) / signal_e[:, :1, None]
 
 
-def _uniformities(table: FacetTable) -> Floats:
+def uniformities(table: FacetTable) -> Floats:
     """Return the uniformity of the coat without contact, (angle, repeat)."""
     white_e = table.signal_e[..., 0, :]
     luminance = (white_e / white_e.mean(axis=2, keepdims=True)).mean(axis=-1)
@@ -505,6 +505,11 @@ def _uniformities(table: FacetTable) -> Floats:
 def _smaller_is_better(name: str, meaning: str, values_deg: Floats) -> AngleObjective:
     """Return an objective that is an angular error."""
     return AngleObjective(name=name, meaning=meaning, unit="deg", larger_is_better=False, values=values_deg)
+
+
+def panels_in_the_way(design: FingerDesign, shape: FingerShape) -> str:
+    """Return the name of the first surface that any panel passes through, or an empty text when all fit."""
+    return next(filter(None, (in_the_way(panel, shape) for panel in design.lights)), "")
 
 
 def in_the_way(light: LightPanel, shape: FingerShape) -> str:

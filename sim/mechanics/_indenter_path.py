@@ -30,7 +30,6 @@ from sim.mechanics._rigid_bodies import Pose
 
 FloatArray = NDArray[np.float64]
 
-INCREMENTS_COLUMN = "increments"
 _AT_A_CORNER = 1e-9  # of an increment
 
 
@@ -97,14 +96,11 @@ class IndenterPath:
     def at(self, share: float) -> tuple[FloatArray, FloatArray]:
         """Return the move (3,) in mm and the turn (3,) in deg after a share of all increments."""
         ends = np.concatenate([[0], np.cumsum(self.increments)])
-        done = share * self.total
-        k = int(np.clip(np.searchsorted(ends, done), 1, len(ends) - 1))
-        part = (done - ends[k - 1]) / (ends[k] - ends[k - 1])
-        found = []
-        for poses in (self.moves_mm, self.turns_deg):
-            before = poses[k - 2] if k > 1 else np.zeros(3)
-            found.append(before + part * (poses[k - 1] - before))
-        return found[0], found[1]
+        move_mm, turn_deg = (
+            np.array([np.interp(share * self.total, ends, [0.0, *numbers]) for numbers in poses.T])
+            for poses in (self.moves_mm, self.turns_deg)
+        )
+        return move_mm, turn_deg
 
     def whereabouts(self, share: float) -> str:
         """Return in words the increment that comes after a share of all increments, and the pose that it leads to."""
@@ -159,13 +155,12 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     return tuple(poses)
 
 
-def _number(path: Path, line: int, name: str, cell: str) -> float | int:
-    """Return the number of a cell, a whole one where it is."""
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    """Return the number of a cell."""
     try:
-        number = finite_number(cell)
+        return finite_number(cell)
     except ValueError as error:
         raise SimulateError(f"{path}, line {line}, column {name}: {error}; give a decimal number") from error
-    return int(number) if name == INCREMENTS_COLUMN and number.is_integer() else number
 
 
 def moved_pose(indenter: RigidIndenter, move_mm: FloatArray, turn_deg: FloatArray) -> Pose:

@@ -35,6 +35,7 @@ from data_schemas import (
     why_failed,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
+from sim import design_digests
 from sim.experiments import (
     PaintDraws,
     PaintedFinger,
@@ -129,18 +130,28 @@ def _require_room(plan: DatasetPlan) -> None:
             check_analytic_press(largest)
         room = _room_mm(largest)
         if min(room) <= 0.0:
+            aside = ", and indenter.path moves it aside" if indenter.path else ""
             raise SimulateError(
                 f"a {shape} of {plan.radius_mm[1]:g} mm radius, {plan.depth_mm[1]:g} mm deep, leaves no room on the "
                 f"pad of {plan.design.pad.length_mm:g} x {plan.design.pad.width_mm:g} mm, because its contact is "
-                f"{2.0 * float(contact_half_width_mm(largest)):.3g} mm wide; give a smaller --radius-mm or --depth-mm"
+                f"{2.0 * float(contact_half_width_mm(largest)):.3g} mm wide{aside}; give a smaller --radius-mm or "
+                "--depth-mm"
             )
 
 
 def _room_mm(design: FingerDesign) -> tuple[float, float]:
     """Return how far a contact's middle may be from that of the pad, along and across; a cylinder stays on the line."""
-    half = float(contact_half_width_mm(design))
-    across = design.pad.width_mm / 2.0 - half if design.indenter.shape == "ball" else design.pad.width_mm / 2.0
-    return design.pad.length_mm / 2.0 - half, across
+    half, (along, across) = float(contact_half_width_mm(design)), _reach_mm(design.indenter.path)
+    ball = half + across[1] if design.indenter.shape == "ball" else 0.0
+    return design.pad.length_mm / 2.0 - half - along[1], design.pad.width_mm / 2.0 - ball
+
+
+def _reach_mm(path: tuple[PathPose, ...]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return middle and half width of where a path moves to along the pad, and across it; it starts at 0, 0."""
+    ways = np.array([[0.0, 0.0], *([pose.along_mm, pose.across_mm] for pose in path)])
+    low, high = ways.min(axis=0), ways.max(axis=0)
+    middles, halves = ((low + high) / 2.0).tolist(), ((high - low) / 2.0).tolist()
+    return (middles[0], halves[0]), (middles[1], halves[1])
 
 
 def split_of(press: int) -> DatasetSplit:
@@ -154,7 +165,7 @@ def split_of(press: int) -> DatasetSplit:
 def sampled_press(plan: DatasetPlan, press: int) -> FingerDesign:
     """Return the design with the indenter of a press: shape, radius, depth and place drawn evenly.
 
-    The whole contact lies on the pad.
+    The whole contact lies on the pad, wherever the indenter's path moves it aside.
 
     Parameters
     ----------
@@ -176,10 +187,10 @@ def sampled_press(plan: DatasetPlan, press: int) -> FingerDesign:
         }
     )
     along, across = _room_mm(plan.design.model_copy(update={"indenter": indenter}))
-    place = rng.uniform(-1.0, 1.0, 2)
+    place, aside = rng.uniform(-1.0, 1.0, 2), _reach_mm(indenter.path)
     placed: dict[str, Any] = {
-        "position_mm": plan.design.pad.length_mm / 2.0 + along * float(place[0]),
-        "across_mm": across * float(place[1]) if indenter.shape == "ball" else 0.0,
+        "position_mm": plan.design.pad.length_mm / 2.0 - aside[0][0] + along * float(place[0]),
+        "across_mm": across * float(place[1]) - aside[1][0] if indenter.shape == "ball" else 0.0,
         "path": _to_depth(indenter.path, indenter.depth_mm),
     }
     return plan.design.model_copy(update={"indenter": indenter.model_copy(update=placed)})
@@ -230,6 +241,7 @@ def shard_key(task: DatasetTask, shard: PlannedShard) -> str:
     known = {
         "version": VERSION,
         "plan": task.plan.model_dump(mode="json", exclude={"design": {"provenance"}}),
+        **design_digests(task.plan.design, task.design_folder, ["camera"]),
         "paints": dict(task.sources),
         "presses": [shard.presses.start, shard.presses.stop],
     }

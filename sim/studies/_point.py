@@ -38,13 +38,12 @@ from data_schemas import (
 from data_schemas.storage import (
     ProductSet,
     clear_leftovers,
-    read_bytes,
     read_record,
     read_toml,
     write_bytes,
     write_record,
 )
-from sim import PRESETS, preset_design, read_design
+from sim import PRESETS, design_digests, preset_design, read_design
 from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records, vividness
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import (
@@ -293,6 +292,7 @@ def point_key(task: StudyTask, point: PlannedPoint) -> str:
         {
             "design": point.design.model_dump(mode="json", exclude={"provenance"}),
             **_indenter_digest(task, point.design),
+            **(design_digests(point.design, task.design_folder, ["camera"]) if task.plan.measure.images else {}),
             "measure": task.plan.measure.model_dump(mode="json"),
             "seed": point.seed,
             "paints": dict(task.paints.sources) if task.plan.measure.images else {},
@@ -311,11 +311,9 @@ def press_file(task: StudyTask, design: FingerDesign) -> Path | None:
 
 
 def _indenter_digest(task: StudyTask, design: FingerDesign) -> dict[str, str]:
-    """Return the SHA-256 of an indenter's file, whose name may stay while its content changes; nothing without one."""
-    if design.indenter.file is None:
-        return {}
-    content = read_bytes(task.design_folder / design.indenter.file, "the indenter's STL file (indenter.file)")
-    return {"indenter": hashlib.sha256(content).hexdigest()}
+    """Return the SHA-256 of an indenter's file by the name that kept keys have for it; nothing without one."""
+    found = design_digests(design, task.design_folder, ["indenter"])
+    return {"indenter": found["indenter.file"]} if found else {}
 
 
 def has_press(task: StudyTask, surfaces_file: Path) -> bool:

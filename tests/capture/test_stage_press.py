@@ -29,7 +29,7 @@ from data_schemas import (
 from data_schemas.storage import read_record, read_toml, write_record
 from rigs import CellReading, ForceLimitError, RawFrame, SystemClock, write_tactile_rig
 from rigs.capture import SessionRequest, StagePress, capture_tactile_session, open_tactile_rig, read_journal
-from rigs.simulated import FingerState, SimulatedLoadCell
+from rigs.simulated import FingerState, SimulatedLoadCell, SimulatedStage
 from rigs.simulated._finger import BRAKING_MM_PER_S2, DEAF_S
 from tests.capture.drivers.press_bench import N_PER_COUNT, PressBench, press_bench
 from tests.command_line.running import finray
@@ -77,6 +77,20 @@ def only_the_stop_is_left(monkeypatch) -> None:
 
 
 FILTER, LATE = 4, 2
+
+
+def test_homing_finds_the_place_again_after_lost_steps(practice):
+    faulty(practice, "lost steps, 10 %")
+    state = FingerState(read_toml(practice / "rig.toml", TactileRig))
+    stage, axis = SimulatedStage(state), state.stage.press_axis
+    depths = []
+    for _ in range(2):
+        stage.home(5.0, lambda: None)
+        deep_mm = state.rig.simulated.surface_mm + state.stage.into_pad * 2.0
+        stage.move(axis, deep_mm, 5.0, lambda: None)
+        depths.append(state.indentation_mm)
+    assert 0.0 < depths[0] < 2.0
+    assert depths[1] == depths[0]
 
 
 def test_a_last_step_that_leads_beyond_the_limit_ends_the_press(practice, monkeypatch):

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision
+from data_schemas import FingerStiffness, FingerTolerances, LightAngleDecision, SimulateError
 from data_schemas.storage import read_bytes, read_record
 from finray_calib.cli import _design_search
 from finray_calib.cli._design_search import _computed_from, _tolerances
@@ -130,6 +130,28 @@ def test_a_pad_that_no_finger_has_is_refused_before_any_work(paints: Path, tmp_p
         assert outcome.status == 2
         assert words in outcome.err
     assert not (tmp_path / "found").exists()
+
+
+def test_an_assessment_names_the_files_of_its_design(
+    paints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> None:
+        raise SimulateError("far enough")
+
+    monkeypatch.setattr(_design_search, "_swept", stopped)
+    rows = [f"{nm},40,40,40" for nm in range(380, 1001, 10)]
+    (tmp_path / "camera.csv").write_text("\n".join(["wavelength_nm,red_percent,green_percent,blue_percent", *rows]))
+    text = FINGER + 'response = "camera.csv"\n'
+    files = f"--paint red={paints}/red/paint.json --paint green={paints}/green/paint.json --quick"
+    found = []
+    for number, more in enumerate(("", "", "450,40,41,40\n")):
+        (tmp_path / "finger.toml").write_text(text)
+        with (tmp_path / "camera.csv").open("a") as curves:
+            curves.write(f"\n{more}" if more else "")
+        outcome = finray(f"design assess {tmp_path}/finger.toml {files} --out {tmp_path}/found{number}")
+        assert "far enough" in outcome.err
+        found.append((tmp_path / f"found{number}" / _design_search.ASSESSED_FROM).read_text())
+    assert found[0] == found[1] != found[2]
 
 
 def test_an_assessment_is_known_by_what_each_input_is_for(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from data_schemas import FingerSurfaces, ObjectGrasp, PressMechanics
 from data_schemas.storage import read_record
 from finray_calib.cli import _simulate_grasp as grasp_verb
+from finray_calib.cli._simulate_grasp import _mass
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import finray
@@ -52,6 +53,10 @@ def test_a_ball_is_gripped_and_carried(tmp_path: Path, monkeypatch: pytest.Monke
     for side in ("near", "far"):
         assert read_record(tmp_path / f"ball.{side}.surfaces.json", FingerSurfaces).name.endswith("pressed")
     assert (tmp_path / "ball.grasp.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_no_mass_is_zero_however_it_is_written():
+    assert [_mass(text) for text in ("0", "0.0", " 0 ", "0e0", "0.5")] == [0.0, 0.0, 0.0, 0.0, 0.5]
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from data_schemas import DatasetShard, LearningDataset
+from data_schemas import DatasetShard, LearningDataset, SimulateError
 from data_schemas.storage import manifest_faults, read_record
 from finray_calib.cli.main import main
-from finray_calib.exchange import read_shard
 from tests.command_line.running import Program
+from tests.simulate.shards import read_shard
 
 SMALL = "--size 40x30 --presses-per-shard 1 --lights 1 --paints 2 --samples 2 --radius-mm 3 5 --depth-mm 0.4 1.2"
 WORDS = f"baby-48x18 {SMALL} --out out"
@@ -98,6 +98,21 @@ def test_what_cannot_be_drawn_is_told_before_a_worker_starts(tmp_path, monkeypat
     assert main(["study", "dataset", "baby-48x18", "--presses", "2", *words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.glob("*-dataset"))
+
+
+def test_the_files_of_a_design_are_named_as_inputs(tmp_path, monkeypatch, capsys):
+    def stopped(task, *_):
+        raise SimulateError(" ".join(sorted(task.origin.input_sha256)))
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sim.studies.run_dataset", stopped)
+    (tmp_path / "finger.toml").write_text('preset = "baby-48x18"\n[camera]\nresponse = "camera.csv"\n')
+    (tmp_path / "camera.csv").write_text("content")
+    assert main(["study", "dataset", "finger.toml", "--presses", "1"]) == 2
+    assert "camera.csv finger.toml" in capsys.readouterr().err
+    (tmp_path / "camera.csv").unlink()
+    assert main(["study", "dataset", "finger.toml", "--presses", "1", "--out", "other"]) == 2
+    assert "camera.csv: no such file" in capsys.readouterr().err
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path, monkeypatch, capsys):

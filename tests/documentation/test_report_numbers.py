@@ -12,6 +12,7 @@ from finray_calib.demo import summary
 from finray_calib.demo._report import compare_section
 from finray_calib.demo._results import all_notes, assumptions, true_loss, trust_limits, truth_statement
 from finray_calib.reports import (
+    capture_sentence,
     comparison_lines,
     decimals_for,
     decision_table,
@@ -55,6 +56,15 @@ def test_numbers_as_text() -> None:
         "1.23e+05",
         "2.00e-07",
         "48.0",
+    ]
+    # a number that is rounded to the next power of ten keeps its digits
+    assert [significant(v) for v in (9.996, 0.99951, 99960.0)] == ["10.0", "1.00", "100000"]
+    assert [fixed(u, decimals_for(u)) for u in (0.0994, 0.0996, 0.996, 9.96, 99.6)] == [
+        "0.099",
+        "0.10",
+        "1.0",
+        "10",
+        "100",
     ]
     assert [percent(v) for v in (0.02, 0.0142, 0.381, 0.0, 0.0004, 3380.2)] == [
         "2 %",
@@ -293,3 +303,10 @@ def test_terminal_table_fits_80_columns_and_holds_every_row() -> None:
     for candidate in ("do nothing", "simulation", "floor"):
         assert sum(line.startswith(candidate) for line in lines) == 2
     assert lines[-1] == "headline: skill 0.931 [0.913, 0.949] over contact and halo"
+
+
+def test_what_the_capture_changed_is_said_as_on_the_page_of_the_decision() -> None:
+    """The error is not the same at other angles: a Gaussian process widens it away from the angle of the capture."""
+    said = trust_limits(RESULTS)
+    assert capture_sentence(RESULTS.decision) in said
+    assert not any("same at other angles" in one for one in said)

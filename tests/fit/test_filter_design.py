@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.drawn_paints import nominal_optics
-from data_schemas import FitError
+from data_schemas import FilterWheelSettings, FitError
 from data_schemas.storage import read_csv
 from finray_calib.fit import (
     CatalogueFilter,
@@ -54,6 +54,20 @@ def test_design_keeps_what_must_stay_and_is_screened_better():
     assert np.isnan(found.mean_ratio[0])
     again = design_filters(optics, stock_catalogue(), keep_nm=[405.0], paints=0, seed=3)
     assert again.filters == found.filters
+
+
+def test_no_two_filters_of_a_wheel_have_one_name():
+    """A kept filter that is called as one of the catalogue is, and a catalogue that lists one twice."""
+    optics = nominal_optics()
+    kept = next(f for f in optics.filters if f.center_nm == 600.0)
+    named = tuple(f.model_copy(update={"name": "600/10"}) if f is kept else f for f in optics.filters)
+    catalogue = [CatalogueFilter(nm, 10.0, 0.6) for nm in (600.0, 560.0, 640.0, 520.0, 560.0)]
+    found = design_filters(optics.model_copy(update={"filters": named}), catalogue, 5, [600.0], paints=0)
+    names = [f.name for f in found.filters]
+    assert len(set(names)) == len(names) == 5
+    assert FilterWheelSettings(filters=found.filters).filters == found.filters
+    with pytest.raises(FitError, match="come from the 3 others of the catalogue"):
+        design_filters(optics.model_copy(update={"filters": named}), catalogue, 6, [600.0], paints=0)
 
 
 def test_no_filter_that_passes_the_laser_is_chosen():

@@ -32,6 +32,15 @@ def session(red_bands):
     return made
 
 
+def with_white_reference_known_to(u_rel, bands):
+    """Return a session as it would be with a white reference of another uncertainty, which is common to all."""
+    y = bands.fluorescence.ravel()
+    covariance = bands.fluorescence_covariance + (u_rel**2 - TILE**2) * np.outer(y, y)
+    white = bands.optics.white_reference.model_copy(update={"uncertainty_rel": u_rel})
+    optics = bands.optics.model_copy(update={"white_reference": white})
+    return bands.model_copy(update={"fluorescence_covariance": covariance, "optics": optics})
+
+
 @pytest.fixture
 def level_of(red_bands):
     """Level of band signals relative to the truth, from the bright values, and its standard deviation."""
@@ -96,6 +105,16 @@ def test_a_session_with_another_filter_is_named_and_others_are_not(session):
     _, scatter = combine_sessions(sessions)
     assert scatter.departing == (4,)
     assert outlying_session_warnings(scatter)[0].startswith("session 4 differs from the other sessions")
+
+
+@pytest.mark.parametrize(("level", "named"), [(0.0, ()), (0.08, (6,)), (-0.08, (6,))])
+def test_a_session_of_another_level_is_named_whatever_the_white_reference_is_known_to(session, level, named):
+    """Sessions that scatter by 0.2 %, all under one white reference that is 2 % wrong: no two differ by its error."""
+    rng = np.random.default_rng(13)
+    sessions = [session(rng, 0.002, 0.0, 0.02) for _ in range(5)]
+    sessions.append(session(rng, 0.0, 0.0, 1.02 * (1 + level) - 1))
+    _, scatter = combine_sessions([with_white_reference_known_to(0.02, one) for one in sessions])
+    assert scatter.departing == named
 
 
 def test_the_common_values_lie_among_those_of_the_sessions_however_their_channels_disagree(session, red_bands):

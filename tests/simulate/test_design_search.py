@@ -15,8 +15,9 @@ from sim.experiments import (
     design_parameter,
     search_designs,
 )
-from sim.experiments._light_angle import in_the_way, panel_surface
+from sim.experiments._light_angle import in_the_way, panel_surface, panels_in_the_way
 from sim.surface_meshes import Surface, check_no_intersections, rest_shape
+from tests.command_line.running import load, succeed
 
 FLAT = preset_design("flat-70x35")
 ERROR = OBJECTIVES["normal-error"]
@@ -70,6 +71,16 @@ def test_usual_parameters_go_with_what_is_asked_for() -> None:
     assert "light.angle_deg" not in of_loads
     for one in default_parameters(FLAT, [ERROR, OBJECTIVES["softness"]]):
         assert one.low <= one.start <= one.high
+
+
+def test_a_whole_number_stays_within_its_limits() -> None:
+    start = FLAT.skeleton.rib_count
+    varied = space(f"skeleton.rib_count={start - 1.6}:{start + 1.2}")
+    ends = [varied.changes(np.array([at]))["skeleton.rib_count"] for at in (0.0, 1.0)]
+    assert ends == [start - 1, start + 1]
+    assert varied.snapped(np.array([0.1])).tolist() == [0.0]
+    with pytest.raises(SimulateError, match="no two whole numbers"):
+        design_parameter(FLAT, f"skeleton.rib_count={start - 0.6}:{start + 0.6}")
 
 
 def test_a_place_is_a_design_and_back() -> None:
@@ -156,6 +167,15 @@ def test_a_panel_is_tried_with_near_triangles_and_the_answer_is_that_of_all() ->
     assert len(set(blocked)) >= 2
 
 
+def test_every_panel_is_tried_against_the_parts() -> None:
+    """A second panel that stands through the mirror, beside a first one that fits."""
+    behind = FLAT.light.model_copy(update={"angle_deg": 150.0, "position_mm": (0.0, -10.0, 50.0)})
+    rest = rest_shape(FLAT)
+    assert [in_the_way(panel, rest) for panel in (FLAT.light, behind)] == ["", "mirror"]
+    for blocked in ({"second_light": behind}, {"further_lights": (FLAT.light, behind)}):
+        assert panels_in_the_way(FLAT.model_copy(update=blocked), rest) == "mirror"
+
+
 def is_crossed(surfaces: dict[str, Surface]) -> bool:
     """Return whether surfaces pass through each other."""
     try:
@@ -204,6 +224,25 @@ def test_a_search_that_was_killed_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
     longer = DesignEvaluations(tmp_path / "whole", [ERROR], origin, None)
     search_designs(varied, [ERROR], longer.evaluate, 20, seed=2)
     assert longer.computed < 20
+
+
+@pytest.mark.renderer
+def test_another_content_of_a_file_of_the_camera_is_another_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``finray design optimise`` again in the same folder, after the curves in the file were replaced."""
+    monkeypatch.setattr(DesignEvaluations, "_values", lambda self, design, again: {"brightness": 1.0})
+    (tmp_path / "finger.toml").write_text('preset = "flat-70x35"\n[camera]\nresponse = "camera.csv"\n')
+    words = f"design optimise {tmp_path}/finger.toml --for brightness --within light.angle_deg=0:60 --evaluations 10"
+    said = []
+    for green in (1.0, 1.0, 0.5):
+        rows = [f"{nm},{50.0 - 0.1 * abs(nm - 600)},{green * 40.0},30.0" for nm in range(380, 1001, 5)]
+        curves = "\n".join(["wavelength_nm,red_percent,green_percent,blue_percent", *rows])
+        (tmp_path / "camera.csv").write_text(curves)
+        said.append(succeed(f"{words} --confirm 0 --out {tmp_path}/found"))
+    assert ["0 computed now" in text for text in said] == [False, True, False]
+    inputs = load(tmp_path / "found" / "optimum.json")["record"]["provenance"]["input_sha256"]
+    assert f"{tmp_path}/camera.csv" in inputs
 
 
 def test_failures_are_kept_with_their_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -229,6 +229,18 @@ def test_another_content_of_an_indenter_s_file_is_another_point(tmp_path):
     assert len(keys - {None}) == 6
 
 
+def test_another_content_of_a_file_of_the_camera_is_another_point_where_there_are_pictures(tmp_path):
+    kept = []
+    for images in ("true", "false"):
+        for content in ("one", "two"):
+            (tmp_path / "camera.csv").write_text(content)
+            text = f'[measure]\npress = "finite elements"\nimages = {images}\n[set]\n"camera.response" = "camera.csv"\n'
+            task, (point, *_) = study_of(tmp_path, text + vary("light.angle_deg", [0.0, 30.0]))
+            kept.append(point_key(task, point))
+    assert kept[0] != kept[1]
+    assert kept[2] == kept[3]
+
+
 # metrics
 
 

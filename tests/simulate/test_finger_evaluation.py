@@ -88,6 +88,15 @@ def test_at_equal_exposure_less_light_is_more_noise(llvm, paints):
     assert same.normal_error_deg > 1.05 * first.normal_error_deg
 
 
+def test_a_second_panel_through_the_mirror_cannot_be_mounted(llvm, paints):
+    """Also by an evaluator that has seen the same first panel alone."""
+    given = {colour: without_spread(paint) for colour, paint in paints.items()}
+    evaluator = FingerEvaluator(response(), llvm, replace(SETTINGS, rays=64, repeats=1))
+    assert evaluator.evaluate(DESIGN, given).in_the_way == ""
+    second = DESIGN.light.model_copy(update={"angle_deg": 150.0, "position_mm": (0.0, -10.0, 50.0)})
+    assert evaluator.evaluate(DESIGN.model_copy(update={"second_light": second}), given).in_the_way == "mirror"
+
+
 def test_what_cannot_be_evaluated_is_refused(llvm, paints):
     with pytest.raises(SimulateError, match="at least one ray"):
         FingerEvaluator(response(), llvm, EvaluationSettings(rays=0))

@@ -71,6 +71,13 @@ def test_brightest_angle_of_a_cosine(truth_deg):
     assert found == pytest.approx(truth_deg, abs=0.051)  # half a step of the search
 
 
+def test_light_that_no_path_found_has_no_brightest_angle():
+    angles = light_intensity.ANGLES_DEG
+    for nothing in (0.0, np.nan):
+        with pytest.raises(SimulateError, match=r"give more paths \(--samples\)"):
+            light_intensity.brightest_deg(angles, np.full(angles.shape, nothing))
+
+
 def test_brightest_angle_of_a_cosine_cut_off_at_zero():
     """A Lambertian panel that turns its back; the light of many elevations together is rounder than this one."""
     angles = light_intensity.ANGLES_DEG

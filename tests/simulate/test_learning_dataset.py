@@ -7,9 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from data_schemas import DatasetPlan, SimulateError, provenance
+from data_schemas import DatasetPlan, PathPose, SimulateError, provenance
 from finray_calib.cli._study_run import stand_in_paints
-from finray_calib.exchange import read_shard
 from sim import preset_design
 from sim.experiments import (
     DEPTH_ZERO,
@@ -30,6 +29,7 @@ from sim.studies import DatasetTask, planned_shards, run_dataset, sampled_light,
 from sim.studies import _dataset as datasets
 from sim.studies import _engine as engines
 from sim.surface_meshes import FingerShape, contact_half_width_mm, gel_faces, pressed_shape, rest_shape
+from tests.simulate.shards import read_shard
 
 
 def plan_of(**changes):
@@ -67,6 +67,29 @@ def test_presses_are_drawn_by_their_number_alone_and_their_contact_lies_on_the_p
     assert abs(balls - 200) < 4 * 10
 
 
+def test_a_path_that_moves_aside_stays_on_the_pad():
+    """A ball that is pressed in, dragged 8 mm towards the base and 3 mm across, and drawn back a little."""
+    poses = ({"push_mm": 1.0}, {"push_mm": 1.0, "along_mm": -8.0, "across_mm": 3.0}, {"push_mm": 0.5, "along_mm": 1.0})
+    design = plan_of().design
+    indenter = design.indenter.model_copy(update={"path": tuple(PathPose(**pose) for pose in poses)})
+    plan = plan_of(design=design.model_copy(update={"indenter": indenter}), press="finite elements", shapes=("ball",))
+    ends = []
+    for press in range(400):
+        pressed = sampled_press(plan, press)
+        half = float(contact_half_width_mm(pressed))
+        for pose in (PathPose(), *pressed.indenter.path):
+            along, across = pressed.indenter.position_mm + pose.along_mm, pressed.indenter.across_mm + pose.across_mm
+            ends.append(
+                (min(along, pressed.pad.length_mm - along) - half, pressed.pad.width_mm / 2 - abs(across) - half)
+            )
+    # the contact lies on the pad, and no part of the pad is left out: of 400 even draws some come near each edge
+    assert np.min(ends, axis=0) == pytest.approx(0.0, abs=0.3)
+    assert np.min(ends) >= -1e-9
+    far = indenter.model_copy(update={"path": (PathPose(push_mm=1.0, along_mm=45.0),)})
+    with pytest.raises(SimulateError, match=r"and indenter\.path moves it aside"):
+        planned_shards(plan_of(design=design.model_copy(update={"indenter": far}), press="finite elements"), 2)
+
+
 def test_lights_turn_within_their_reach_and_differ_from_press_to_press():
     plan = plan_of(light_angle_reach_deg=3.0)
     angles = [sampled_light(plan, plan.design, press, light).light.angle_deg for press in range(50) for light in (0, 1)]
@@ -95,6 +118,18 @@ def test_each_part_of_a_plan_is_part_of_the_key(tmp_path, paints, changes):
     assert datasets.shard_key(first, shard) != datasets.shard_key(other, shard)
 
 
+@pytest.mark.parametrize("field", ["response", "calibration"])
+def test_another_content_of_a_file_of_the_camera_is_another_set(tmp_path, paints, field):
+    design = plan_of().design
+    camera = design.camera.model_copy(update={field: "camera.txt"})
+    task = task_of(tmp_path, paints, design=design.model_copy(update={"camera": camera}))
+    shard, keys = planned_shards(task.plan, 2)[0], []
+    for content in ("one", "two", "one"):
+        (tmp_path / "camera.txt").write_text(content)
+        keys.append(datasets.shard_key(task, shard))
+    assert keys[0] == keys[2] != keys[1]
+
+
 def test_an_indenter_that_does_not_fit_is_refused_before_anything_is_computed():
     with pytest.raises(SimulateError, match=r"a ball of 40 mm radius, 3 mm deep, leaves no room on the pad of 48 x 18"):
         planned_shards(plan_of(radius_mm=(3.0, 40.0), depth_mm=(0.4, 3.0)), 2)
@@ -116,7 +151,7 @@ def test_a_shard_has_no_time_and_no_owner_and_reads_back_by_the_rules_of_webdata
     with tarfile.open(fileobj=io.BytesIO(content)) as archive:
         assert {(info.mtime, info.uid, info.uname, info.mode) for info in archive} == {(0, 0, "", 0o644)}
     (tmp_path / "shard.tar").write_bytes(content)
-    assert list(read_shard(tmp_path / "shard.tar")) == [
+    assert read_shard(tmp_path / "shard.tar") == [
         {"__key__": "000001", "json": {"press": 1}, "rgb.png": b"1"},
         {"__key__": "000002", "json": {}, "rgb.png": b"2"},
     ]
