@@ -145,9 +145,7 @@ def _grouped(archive: tarfile.TarFile, path: Path) -> Iterator[dict[str, Any]]:
         key, _, ending = member.name.partition(".")
         stream = archive.extractfile(member) if member.isreg() and ending else None
         if stream is None or member.size > _LARGEST_MEMBER_BYTES:
-            raise RecordError(
-                f"{path}: {member.name} is not a file of a sample; give only files KEY.ENDING of at most 256 MB"
-            )
+            raise RecordError(f"{path}: {member.name} must be a plain file named KEY.ENDING, of at most 256 MB")
         if sample and sample["__key__"] != key:
             yield sample
             sample = {}
