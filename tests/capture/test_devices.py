@@ -115,7 +115,7 @@ def test_measured_response_is_read_and_held_ends_are_noted(rig: RigFile, tmp_pat
 def test_response_that_misses_a_filter_is_refused(rig: RigFile, tmp_path: Path) -> None:
     write_response(tmp_path / "narrow.csv", 420, 700)
     with (
-        pytest.raises(CurveError, match=r"covers 420 to 700 nm, but 100 % of the weight of filter 405"),
+        pytest.raises(CurveError, match=r"covers only 420 to 700 nm, and 100 % of the weight of filter 405"),
         open_rig(with_response(rig, "narrow.csv"), tmp_path),
     ):
         pass

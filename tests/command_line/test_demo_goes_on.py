@@ -150,7 +150,7 @@ def without_input(out: Path) -> None:
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
+        (without_arrays, r"two\.\w+\.npz: is missing, but it contains the arrays of two\.json"),
         (
             other_input,
             r"two\.json: was made from one\.json, which has changed since; move two\.json away to have it made again",

@@ -221,7 +221,7 @@ def test_plain_images_with_circles(tmp_path):
             'experiment_reldir\n"4.000mm/0\n',
             r"catalog\.csv, line 2: cannot be read as CSV \(unexpected end",
         ),
-        ("catalog.csv", '"experiment_reldir\n4.000mm/0\n', r"catalog\.csv, line 2: .* close or remove its quotes"),
+        ("catalog.csv", '"experiment_reldir\n4.000mm/0\n', r"catalog\.csv, line 2: .* close or remove the quotation"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,four\n", "line 2: .* must be a number of mm"),
         ("catalog.csv", "experiment_reldir,diameter(mm)\n4.000mm/0,0\n", "0 mm must be above 0"),
         ("4.000mm/0/gelsight.png", b"", "is neither PNG nor JPEG"),

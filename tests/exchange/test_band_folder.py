@@ -136,7 +136,7 @@ def test_measured_curves_are_read(tmp_path):
     np.testing.assert_allclose(bands.optics.filter_curves["560"](x), passed, atol=1e-8)
     assert list(bands.optics.filter_curves) == ["560"]
     note = next(note for note in bands.notes if "f560.csv" in note)
-    assert note.endswith("below 10^-5 and outside 530 to 590 nm the blocking_od holds")
+    assert note.endswith("blocking_od is used below 10^-5 and outside 530 to 590 nm")
     assert bands.optics.camera_response[1]([600.0]) == pytest.approx([0.6])
     assert bands.optics.lamp([780.0]) == pytest.approx([2.0])
     assert {"f560.csv", "qe.csv", "lamp.csv"} <= set(digests)
@@ -149,7 +149,7 @@ def test_measured_curves_are_read(tmp_path):
         ('layout = "RGB"', 'layout = "RGBA"', RecordError, "'camera.layout'"),
         ('"450"\nregion', '"451"\nregion', RecordError, "excitation_filter '451' is not one of the filters"),
         ('name = "500"', 'name = "450"', RecordError, "'450' is listed twice"),
-        ("center_nm = 500\n", "", RecordError, "filter '500' needs center_nm and fwhm_nm, or curve"),
+        ("center_nm = 500\n", "", RecordError, "filter '500' has neither a curve nor both center_nm and fwhm_nm"),
         ("center_nm = 500\n", 'center_nm = 500\ncurve = "x.csv"\n', RecordError, "contradict each other"),
         ("center_nm = 500\n", "center_nm = 450\n", CurveError, "center_nm 450 is used by two filters"),
         ('"white/{filter}nm.tif"', '"white/450nm.tif"', RecordError, "must contain {filter}"),
@@ -238,9 +238,9 @@ def test_saturated_band_is_named(tmp_path):
         ("f.csv", "wavelength_nm,percent\n400,1\n500,2\n", "a filter needs wavelength_nm,transmission"),
         ("f.csv", "wavelength_nm,transmission\n500,0.1\n400,0.2\n", "wavelengths must increase"),
         ("f.csv", "wavelength_nm,transmission\n400,0\n500,90\n600,0\n", "divide by 100 if it is in per cent"),
-        ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with something above 0"),
+        ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with at least one value above 0"),
         ("f.csv", "wavelength_nm,transmission\n400,0.2\n500,0.9\n", "does not fall to 50 % of its peak"),
-        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "are they in nm"),
+        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "check that they are in nm"),
         ("q.csv", "wavelength_nm,response_percent\n450,1\n500,2\n", "of the weight of filter 450 lies outside"),
         ("q.csv", "wavelength_nm,qe\n400,1\n500,2\n", "a monochrome response needs wavelength_nm,response_percent"),
         ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "somewhere above 0"),

@@ -61,7 +61,7 @@ def test_missing_file_of_a_press_is_named(my_lab, press):
 
 
 def test_format_that_nobody_brings_is_refused_with_those_there_are(my_lab, press):
-    told = r"no installed package provides the format 'mylab'; there are: format 'my-lab' of package my-lab-files 0\.1"
+    told = r"no installed package provides the format 'mylab' \(available: format 'my-lab' of package my-lab-files 0\.1"
     with pytest.raises(ImportFormatError, match=told):
         capture_by_package("mylab", press)
 
@@ -82,7 +82,7 @@ def test_format_of_two_packages_is_refused(my_lab, site, press):
     ("source", "told"),
     [
         ("import not_there_at_all\n", r"cannot be imported \(ModuleNotFoundError: .*not_there_at_all"),
-        ("def read(folder): ...\n", r"lacks read_capture\(folder\) in its module bad_format"),
+        ("def read(folder): ...\n", r"does not define read_capture\(folder\) in its module bad_format"),
         (RETURNS, r"press-7: .* returns a dict, where a data_schemas\.TactileCapture is needed"),
         ("raise SystemExit(7)\n", r"cannot be imported \(SystemExit: 7\)"),
         ("def read_capture(folder):\n    return 1 / 0\n", r"press-7: .* fails \(ZeroDivisionError: division by zero\)"),

@@ -142,7 +142,7 @@ def _spoil(folder, what):
         ("negative", r"expected finite numbers >= 0 of shape \(rows, columns, 3\)"),
         ("nowhere", r"the place of the contact is not given, and a score needs its region"),
         ("flat", r"expected finite depths in mm of 120 x 160"),
-        ("pickled", r"pickled files are refused"),
+        ("pickled", r"Pickled files are not supported"),
         ("unknown word", r"render\.json: .*encoding"),
     ],
 )

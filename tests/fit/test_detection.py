@@ -240,7 +240,7 @@ class TestVerb:
         page = (folder / "plastic.html").read_text().replace("\N{NO-BREAK SPACE}", " ")
         assert "NO EMISSION found in 'white plastic'" in said
         for text in (said, page):
-            assert re.search(r"yield below 0\.00\d+ with 95 % \(modes from 490 to 680 nm\)", text)
+            assert re.search(r"yield is below 0\.00\d+ with 95 % probability \(modes from 490 to 680 nm\)", text)
             assert "FWHM" not in text
             assert "Emits most at" not in text
         assert read_record(stored, PaintWithoutEmission).detection.verdict == "no emission"

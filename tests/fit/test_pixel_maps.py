@@ -300,7 +300,7 @@ def test_a_channel_that_is_no_colour_is_refused(drawn):
     made, _ = drawn
     channel = made.pixels.channel.copy()
     channel[0, 0] = 7  # compiled functions take it as an index
-    with pytest.raises(ValueError, match=r"channel holds 7, but a pixel is 0 \(red\), 1 \(green\) or 2 \(blue\)"):
+    with pytest.raises(ValueError, match=r"channel contains 7, but only 0 \(red\), 1 \(green\) and 2 \(blue\)"):
         changed(made.pixels, channel=channel)
 
 

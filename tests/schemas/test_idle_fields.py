@@ -24,7 +24,7 @@ from sim import PRESETS, design_toml, preset_design
         ),
         (
             '[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 90.0',
-            r"camera\.field_of_view_deg has no effect: camera\.calibration already states",
+            r"camera\.field_of_view_deg has no effect, because camera\.calibration already states",
         ),
     ],
 )

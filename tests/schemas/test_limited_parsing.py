@@ -36,7 +36,7 @@ def test_what_a_parser_refuses_is_its_own_error():
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("crashing", r"its parser was ended by SIGSEGV .*; the file is damaged"),
+        ("crashing", r"because the parser was ended by SIGSEGV .*; the file is corrupted"),
         ("hanging", r"its parser took longer than 1 s"),
         ("filling", r"its parser ran out of memory"),
     ],
