@@ -283,8 +283,8 @@ def patch_scale(
         raise CompareError(
             f"{capture.name}: the pixel scale is not known to {100 * LARGEST_U_REL:.0f} % at column "
             f"{middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, because the camera does not see the "
-            "plane of the pad there, or no picture shows the board near it. If the pixel scale belongs to this camera, lay the board "
-            "where the patch is and measure again"
+            "plane of the pad there, or no picture shows the board near it. If the pixel scale belongs to this "
+            "camera, lay the board where the patch is and measure again"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]

@@ -112,9 +112,7 @@ def test_a_number_with_a_unit_becomes_no_plain_number_and_arrays_mix_no_units(pa
     in_nm = paint.mode_nm
     in_um = Quantity.of(in_nm.model_copy(update={"estimate": in_nm.estimate / 1000.0}), "um")
     for numbers in ([in_nm, in_um], [in_nm, in_nm]):
-        with pytest.raises(
-            TypeError, match=r"nm cannot become a plain number, because its unit, nm, .* write \.estimate"
-        ):
+        with pytest.raises(TypeError, match=r"nm cannot become a plain number, .* unit, nm, .* write \.estimate"):
             np.array(numbers, float)
     assert np.array([q.estimate for q in (in_nm, in_um)]) == pytest.approx(in_nm.estimate * np.array([1.0, 1e-3]))
     assert float(paint.reflectance_at_laser) == paint.reflectance_at_laser.estimate
@@ -132,7 +130,7 @@ def test_a_plot_takes_a_pure_number_and_refuses_one_with_a_unit(paint):
     axes = Figure().subplots()
     (line,) = axes.plot([1.0], [paint.reflectance_at_laser], "o")
     assert line.get_ydata(orig=False) == pytest.approx([paint.reflectance_at_laser.estimate])
-    with pytest.raises(TypeError, match=r"nm cannot become a plain number, because its unit, nm, .* write \.estimate"):
+    with pytest.raises(TypeError, match=r"nm cannot become a plain number, .* unit, nm, .* write \.estimate"):
         axes.plot([1.0], [paint.mode_nm], "o")
 
 
