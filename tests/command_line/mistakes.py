@@ -589,7 +589,7 @@ CASES = (
     Case(
         "folder without its description",
         "import bands {lab}",
-        r"lab\S*: holds no bands\.toml, which says which image shows what; write it as",
+        r"lab\S*: bands\.toml, which tells what each image shows, is missing; write it as",
     ),
     Case("not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); it does not begin"),
     Case(

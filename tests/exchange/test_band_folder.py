@@ -156,7 +156,7 @@ def test_measured_curves_are_read(tmp_path):
         ('"white/{filter}nm.tif"', '"../{filter}nm.tif"', ImportFormatError, "leads out of the folder"),
         ('layout = "RGB"', 'layout = "RGB"\nresponse = "../camera.csv"', CurveError, "'../camera.csv' leads out"),
         ('"white/{filter}nm.tif"', '"w/{filter}nm.tif"', ImportFormatError, "no file matches 'w/450nm.tif'"),
-        ('"lamp/{filter}nm.tif"', '"white/{filter}nm.tif"', ImportFormatError, "is both 'white' .* and 'reflectance'"),
+        ('"lamp/{filter}nm.tif"', '"white/{filter}nm.tif"', ImportFormatError, "as 'white' .* and as 'reflectance'"),
         ("reflectance = 0.5", 'reflectance = { "450" = 0.5 }', RecordError, "filter '500' is missing"),
         ("laser_white = 0.5", 'laser_white = 0.5\nfiles = { "x.tif" = 1 }', ImportFormatError, "matches 'x.tif'"),
         ("bit_depth = 14", "bit_depth = 8", ImportFormatError, "above the 255 DN of camera.bit_depth = 8"),
@@ -165,7 +165,7 @@ def test_measured_curves_are_read(tmp_path):
             "[files]",
             '[[darks]]\nexposure_s = 9.0\nfiles = "laser_white.tif"\n[files]',
             ImportFormatError,
-            "is both 'dark' and 'laser white'",
+            "as 'dark' and as 'laser white'",
         ),
     ],
 )
@@ -187,9 +187,9 @@ def test_dark_of_another_exposure(tmp_path):
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (np.zeros((SIDE_PX, SIDE_PX, 3), np.float32), "holds float32 of shape"),
+        (np.zeros((SIDE_PX, SIDE_PX, 3), np.float32), "contains float32 of shape"),
         (np.zeros((SIDE_PX, SIDE_PX), np.uint16), "needs one 8- or 16-bit image of rows x columns x 3"),
-        (np.zeros((SIDE_PX, SIDE_PX + 2, 3), np.uint16), "all images must come from the same camera settings"),
+        (np.zeros((SIDE_PX, SIDE_PX + 2, 3), np.uint16), "take all images with the same camera settings"),
     ],
 )
 def test_wrong_images(tmp_path, image, message):
@@ -220,7 +220,7 @@ def test_foreign_image_and_missing_description(tmp_path):
     (folder / "laser" / "600nm.tif").write_bytes(whole[:-4])
     with pytest.raises(ImportFormatError, match=r"600nm\.tif: cannot be read as TIFF"):
         import_band_folder(folder)
-    with pytest.raises(ImportFormatError, match=r"holds no bands\.toml, which says which image shows what"):
+    with pytest.raises(ImportFormatError, match=r"bands\.toml, which tells what each image shows, is missing"):
         import_band_folder(tmp_path)
 
 
@@ -243,7 +243,7 @@ def test_saturated_band_is_named(tmp_path):
         ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "check that they are in nm"),
         ("q.csv", "wavelength_nm,response_percent\n450,1\n500,2\n", "of the weight of filter 450 lies outside"),
         ("q.csv", "wavelength_nm,qe\n400,1\n500,2\n", "a monochrome response needs wavelength_nm,response_percent"),
-        ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "somewhere above 0"),
+        ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "above 0 in one or more"),
         ("q.csv", "wavelength_nm,response_percent\n500,1\n400,2\n", "wavelengths must increase"),
     ],
 )

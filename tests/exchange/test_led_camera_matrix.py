@@ -103,7 +103,7 @@ def test_light_outside_the_absorption_is_refused(spectra, camera):
 
 
 def test_unpaired_draws_are_refused(spectra):
-    with pytest.raises(CurveError, match=r"absorption_rel_draws has shape \(399, 481\), and \(400, 481\) is needed"):
+    with pytest.raises(CurveError, match=r"absorption_rel_draws has shape \(399, 481\), but .* \(400, 481\)"):
         replace(spectra, absorption_rel_draws=spectra.absorption_rel_draws[1:])
 
 
@@ -128,7 +128,7 @@ def test_json_names_rows_columns_and_what_is_assumed(spectra, camera, origin):
     [
         ("wavelength_nm,power\n440,1\n450,2\n", "a light needs wavelength_nm,power_rel"),
         ("wavelength_nm,power_rel\n440,-1\n450,2\n", "power_rel must be at least 0"),
-        ("wavelength_nm,power_rel\n440,0\n450,0\n", "somewhere above 0"),
+        ("wavelength_nm,power_rel\n440,0\n450,0\n", "above 0 in one or more"),
         ("wavelength_nm,power_rel\n450,1\n440,2\n", "wavelengths must increase"),
     ],
 )

@@ -83,7 +83,7 @@ def test_format_of_two_packages_is_refused(my_lab, site, press):
     [
         ("import not_there_at_all\n", r"cannot be imported \(ModuleNotFoundError: .*not_there_at_all"),
         ("def read(folder): ...\n", r"does not define read_capture\(folder\) in its module bad_format"),
-        (RETURNS, r"press-7: .* returns a dict, where a data_schemas\.TactileCapture is needed"),
+        (RETURNS, r"press-7: .* returns a dict, but a data_schemas\.TactileCapture is needed"),
         ("raise SystemExit(7)\n", r"cannot be imported \(SystemExit: 7\)"),
         ("def read_capture(folder):\n    return 1 / 0\n", r"press-7: .* fails \(ZeroDivisionError: division by zero\)"),
     ],
@@ -99,5 +99,5 @@ def test_format_that_reads_by_itself_is_refused(site, press):
     source = printed("python").replace("from data_schemas.storage import read_npy", "read_npy = np.load")
     assert source != printed("python")
     install(site, "own-files", {GROUP: {"own": "own_format"}}, own_format=source)
-    with pytest.raises(ImportFormatError, match=r"did not read any file of it .* could not name what"):
+    with pytest.raises(ImportFormatError, match=r"did not read any file of the folder .* could not name its"):
         capture_by_package("own", press)

@@ -150,7 +150,7 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
     ):
         held = [note for note in record.notes if "its end value is held" in note]
         assert len(held) == 3
-        assert held[0].startswith("camera response: red covers 440 to 780 nm; its end value is held for 1")
+        assert held[0].startswith("camera response: red covers only 440 to 780 nm; outside, where 1")
         assert "the led band" in held[0]
 
 
