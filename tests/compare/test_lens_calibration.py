@@ -72,7 +72,7 @@ def test_a_picture_that_counts_twice_is_two_pictures():
 def test_too_few_pictures_are_refused():
     rng = np.random.default_rng(5)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, LEAST_VIEWS - 2), rng)
-    with pytest.raises(CompareError, match="3 usable pictures .* are too few to calibrate a lens; give at least 4"):
+    with pytest.raises(CompareError, match=r"3 usable pictures .* are too few to calibrate a lens; give at least 4"):
         calibrate_lens(views, SIZE_PX, "pinhole")
 
 

@@ -239,7 +239,7 @@ def test_a_scale_that_is_hardly_known_is_refused():
 def test_few_pictures_beside_the_pad_are_refused():
     rng = np.random.default_rng(17)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 3), rng)
-    with pytest.raises(CompareError, match="3 usable pictures of .* are too few; give at least 4"):
+    with pytest.raises(CompareError, match=r"3 usable pictures of .* are too few; give at least 4"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
 
 
@@ -254,7 +254,7 @@ def test_another_unit_is_recognised(square_mm, unit, meant):
 def test_pictures_without_a_usable_board_are_refused(seen):
     _, images = seen
     grey = images["board-0.png"]
-    with pytest.raises(CompareError, match="blank: only 0 of the 24 corners .* but at least 8"):
+    with pytest.raises(CompareError, match=r"blank: only 0 of the 24 corners .* but at least 8"):
         find_board(np.full_like(grey, 128), BOARD, "blank")
     with pytest.raises(CompareError, match="of the 24 corners"):
         find_board(grey, BOARD.model_copy(update={"squares": (5, 7)}), "turned")

@@ -69,7 +69,7 @@ def test_pickled_parts_are_left_out_and_never_loaded(tmp_path):
     ("changed", "message"),
     [
         ({"imgs": None}, "contains only the image without contact, but no presses"),
-        ({"f0": None}, "'f0' is missing; it holds img_size, imgs"),
+        ({"f0": None}, "'f0' is missing; the file contains img_size, imgs"),
         ({"f0": np.zeros((60, 80))}, "'f0' must be an array of finite numbers with 3 dimensions"),
         ({"f0": np.zeros((60, 80, 3))}, "'f0' must contain 8-bit colour images"),
         ({"f0": np.zeros((50, 80, 3), np.uint8)}, "press 1: the image has shape .* but the no-contact image"),
@@ -97,12 +97,12 @@ def test_wrong_taxim_folders_are_refused(tmp_path):
         with pytest.raises(ImportFormatError, match=message):
             read_taxim(folder)
     (folder / "params.json").unlink()
-    with pytest.raises(ImportFormatError, match="millimetres per pixel is not stated .*; give it with --mm-per-px"):
+    with pytest.raises(ImportFormatError, match=r"millimetres per pixel is not stated .*; give it with --mm-per-px"):
         read_taxim(folder)
     assert read_taxim(folder, BALL_DIAMETER_MM, 0.1).captures[0].mm_per_px == 0.1
     with pytest.raises(ImportFormatError, match=r"millimetres per pixel must be above 0 and at most 1 mm, got 7 mm"):
         read_taxim(folder, mm_per_px=7.0)
-    with pytest.raises(ImportFormatError, match="the ball's diameter must be above 0 .* got -1 mm"):
+    with pytest.raises(ImportFormatError, match=r"the ball's diameter must be above 0 .* got -1 mm"):
         read_taxim(folder, -1.0, 0.1)
 
 
@@ -117,7 +117,7 @@ def test_npz_that_are_none(tmp_path):
         np.save(file, np.ones(3))
     with pytest.raises(ImportFormatError, match="cannot be read as npz"):
         read_npz(tmp_path / "x.npz")
-    with pytest.raises(ImportFormatError, match="it holds nothing"):
+    with pytest.raises(ImportFormatError, match="the file contains nothing"):
         require_array({}, (), "a", 1, tmp_path / "x.npz")
 
 
@@ -181,7 +181,7 @@ def test_members_that_are_no_arrays_are_left_out(tmp_path):
     write_member(tmp_path / "x.npz", b"hello")
     arrays, pickled = read_npz(tmp_path / "x.npz")
     assert (list(arrays), pickled) == (["b"], ())
-    with pytest.raises(ImportFormatError, match=r"x\.npz: array 'a' is missing; it holds b"):
+    with pytest.raises(ImportFormatError, match=r"x\.npz: array 'a' is missing; the file contains b"):
         require_array(arrays, pickled, "a", 1, tmp_path / "x.npz")
     write_member(tmp_path / "x.npz", npy(np.array([None])))
     assert read_npz(tmp_path / "x.npz")[1] == ("a",)
@@ -203,7 +203,7 @@ def test_plain_images_with_circles(tmp_path):
     circle = found.captures[1].contact_circle
     assert circle is not None
     assert circle.row_px == presses(2)[1].row_px
-    with pytest.raises(ImportFormatError, match="the ball's diameter is not stated .*; give it with --ball-diam"):
+    with pytest.raises(ImportFormatError, match=r"the ball's diameter is not stated .*; give it with --ball-diam"):
         read_ball_presses(tmp_path / "c", MM_PER_PX)
 
 
