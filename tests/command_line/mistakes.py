@@ -230,7 +230,7 @@ CASES = (
     Case(
         "record for a plan",
         "capture {lab}/bands.json --rig {lab}/rig.toml",
-        r"bands\.json: .*; it looks like a JSON file: a TOML file is needed here",
+        r"bands\.json: .*; it looks like a JSON file, but a TOML file is needed",
     ),
     Case(
         "half a pixel",
@@ -455,7 +455,7 @@ CASES = (
     Case(
         "day in words",
         "certificate {paints}/red/paint.json --out {tmp}/c.html --laboratory {tmp}/lab.toml",
-        r"lab\.toml: 'references \(entry 1\)\.calibrated_on': must be a day such as 2026-03-02, .* got 'yesterday'",
+        r"lab\.toml: 'references \(entry 1\)\.calibrated_on': must be a date such as 2026-03-02, .* got 'yesterday'",
         file(
             "lab.toml",
             'kind = "certificate"\nlaboratory = "one"\n[[references]]\nof = "lamp"\nnumber = "1"\nissued_by = "two"\n'
@@ -595,7 +595,7 @@ CASES = (
     Case(
         "newer record",
         "decide {tmp}/sweep.json",
-        rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
+        rf"sweep\.json: schema_version 9 was written by a newer finray, .* update with {NEW}",
         edited("sweep.json", '"schema_version": 5', '"schema_version": 9'),
     ),
     Case(
@@ -711,7 +711,7 @@ CASES = (
     Case(
         "skeleton in GPa",
         MECHANICS,
-        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus \(the sum\): 0\.007918 MPa .* in GPa: write 7\.918",
+        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus .* of 0\.007918 MPa .* in GPa, so write 7\.918",
         design("[mechanics.skeleton]\nmu_mpa = [0.006279, 0.001639]"),
     ),
     Case(
@@ -759,7 +759,7 @@ CASES = (
     Case(
         "indenter's radius in metres",
         MECHANICS,
-        r"finger\.toml: indenter\.radius_mm: 0\.01 mm is outside .* in metres: write 10",
+        r"finger\.toml: indenter\.radius_mm: 0\.01 mm is outside .* in metres, so write 10",
         design("[indenter]\nradius_mm = 0.01\n"),
     ),
     Case(

@@ -60,7 +60,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
         ({"number": signal.SIGILL}, r"^stage two was ended by SIGILL \(a compiled library uses instructions that this"),
         (
             {"number": signal.SIGKILL},
-            r"^stage two was killed \(SIGKILL\): .*; it had taken 0\.\d\d GiB of",
+            r"^stage two was killed \(SIGKILL\) .*; it had taken 0\.\d\d GiB of",
         ),
         ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory; it had taken 0\.\d\d GiB"),
     ],

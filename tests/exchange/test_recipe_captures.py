@@ -471,7 +471,7 @@ def test_the_source_of_a_circle_is_kept(tmp_path, monkeypatch):
     for column in ("source", "told_by"):  # the column's name now, and before
         (tmp_path / "mine.csv").write_text(f"image,column_px,row_px,radius_px,{column}\n0001,60,45,20,hearsay\n")
         failed = finray(f"import captures {options} --circles mine.csv --out no")
-        assert f"mine.csv, line 2: {column} must be label or search, got 'hearsay'" in failed.err
+        assert f"mine.csv, line 2: {column} must be 'label' or 'search', got 'hearsay'" in failed.err
 
 
 def test_presses_whose_names_give_one_file_name_are_all_kept(tmp_path, monkeypatch):

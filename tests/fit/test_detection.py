@@ -191,7 +191,7 @@ def test_the_bare_signal_of_a_blank_is_far_above_its_noise(plastic):
 
 def test_without_emission_there_is_no_spectrum(blank, plastic):
     assert isinstance(blank, PaintWithoutEmission)
-    assert blank.detection.statement.startswith("no emission: yield below 0.00")
+    assert blank.detection.statement.startswith("no emission: the yield is below 0.00")
     assert not {"mode_nm", "fwhm_nm", "emission_per_nm", "draws", "parameters"} & blank.model_dump().keys()
     assert blank.reflectance_at_laser == pytest.approx(0.9, rel=0.02)
     assert [r.estimate for r in blank.reflectance] == pytest.approx([0.9] * 8, abs=0.03)

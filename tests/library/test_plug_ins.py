@@ -271,7 +271,7 @@ def test_record_is_read_where_the_package_is_not_installed():
         ),
         (
             'shape = "flat"\npackage = "my-finger-parts 0.1"',
-            r"pad\.package has no effect: it belongs to parts of other pack",
+            r"pad\.package has no effect, because it belongs to parts of other pack",
         ),
     ],
 )

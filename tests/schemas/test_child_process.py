@@ -64,7 +64,7 @@ def test_results_and_messages_come_back_from_one_process(child):
             marks=pytest.mark.skipif(platform.machine() != "x86_64", reason="the bytes are those of x86"),
         ),
         ("raise_signal", {"number": signal.SIGABRT}, r"^was ended by SIGABRT \(a compiled library aborted\)"),
-        ("raise_signal", {"number": signal.SIGKILL}, r"^was killed \(SIGKILL\): by a person, or by the"),
+        ("raise_signal", {"number": signal.SIGKILL}, r"^was killed \(SIGKILL\) by a person, or by the"),
         ("raise_signal", {"number": signal.SIGTERM}, r"^was ended by SIGTERM \(a person or the system asked it"),
         ("leave", {}, r"^exited with status 7 before it had finished"),
         ("stumble", {}, r"^failed because of a fault in finray itself \(TypeError: a fault of ours\)$"),

@@ -15,7 +15,7 @@ from sim import PRESETS, design_toml, preset_design
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[indenter]\nshape = "ball"\nedge_radius_mm = 1.0', r"indenter\.edge_radius_mm has no effect: .* cuboid"),
+        ('[indenter]\nshape = "ball"\nedge_radius_mm = 1.0', r"indenter\.edge_radius_mm has no effect, .* cuboid"),
         ("[skeleton]\nrib_count = 0\nrib_thickness_mm = 1.2", r"rib_thickness_mm has no effect: .* rib_count = 1 or"),
         ("[skeleton]\nrib_count = 0\nrib_angle_deg = 5.0", r"rib_angle_deg has no effect"),
         (

@@ -81,7 +81,7 @@ def opened(path):
         ('kind = "sensor"\nwalls = "clear"\nwall_reflectance = 0.1\n', RecordError, 'because walls = "clear"'),
         (
             'kind = "sensor"\n[surface]\nfile = "a.npy"\nstep_mm = 0.1\n[indenter]\nposition_mm = 5.0\n',
-            RecordError, r"indenter has no effect: \[surface\] and \[indenter\] both state the pressed shape",
+            RecordError, r"indenter has no effect, because \[surface\] and \[indenter\] both state the pressed shape",
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_reflectance = 0.5\ndiffuse_reflectance_rgb = [0.1, 0.2, 0.3]\n',
@@ -121,8 +121,8 @@ def test_refusals_of_files(tmp_path, text, error, message):
     ("make", "message"),
     [
         (lambda: CoatSurface(file="coat.tif"), r"must end in \.npy or \.png .* or in \.stl"),
-        (lambda: CoatSurface(file="coat.npy"), "step_mm is missing: a height map needs"),
-        (lambda: CoatSurface(file="coat.png", step_mm=0.1), "unit_mm is missing: a picture needs"),
+        (lambda: CoatSurface(file="coat.npy"), "step_mm is missing; a height map needs"),
+        (lambda: CoatSurface(file="coat.png", step_mm=0.1), "unit_mm is missing; a picture needs"),
         (lambda: ColouredLight(channel="white", fwhm_nm=20.0), "fwhm_nm is not supported for a white LED"),
         (lambda: ColouredLight(channel="red", depth_mm=1.0), r"it must be more than 1\.53 mm"),
         (lambda: TactileCamera(position_mm=(0.0, 1.0, 2.0)), r"y must be negative \(outside the gel"),

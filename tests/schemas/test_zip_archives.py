@@ -243,7 +243,7 @@ def test_a_file_whose_bytes_changed_is_refused_as_it_is_read(tmp_path: Path, met
     content[30 + len("one.txt") + 3] ^= 0x10
     path.write_bytes(bytes(content))
     with pytest.raises(
-        RecordError, match=r"set.zip/one.txt: is damaged in its archive \(.*\); create the archive again"
+        RecordError, match=r"set.zip/one.txt: is corrupted in the archive \(.*\); create the archive again"
     ):
         read_bytes(path / "one.txt")
     assert read_bytes(path / "two.txt") == b"2"
