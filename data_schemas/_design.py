@@ -472,7 +472,9 @@ class SensorCoat(Coating):
             other = "translucent" if layer else "diffuse_reflectance_rgb"
             idle["diffuse_reflectance"] = f"coating.{other} already states the reflectance; leave out one of the two"
         if self.diffuse_share == 1.0:
-            idle["roughness_alpha"] = "a coat of diffuse_share = 1 holds no metal; leave it out, or lower the share"
+            idle["roughness_alpha"] = (
+                "a coat of diffuse_share = 1 contains no metal; leave the field out, or lower the share"
+            )
         return idle
 
 
@@ -516,7 +518,7 @@ class CoatSurface(Model):
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
-        why = "it belongs to a height map, but an STL file holds mm in the axes of the pad; leave it out"
+        why = "it belongs to a height map, but an STL file is already in mm and in the axes of the pad; leave it out"
         return dict.fromkeys(("holds", "step_mm", "unit_mm", "position_mm", "across_mm"), why)
 
 

@@ -647,7 +647,7 @@ class RigFile(Record):
         lost = [] if fault is None else [name for name in fault.pair if name and name not in known]
         if lost:
             raise ValueError(
-                f"simulated.practice_fault: there is no filter '{lost[0]}'; the filters are {', '.join(known)}"
+                f"simulated.practice_fault: no filter is named '{lost[0]}'; valid names are {', '.join(known)}"
             )
         return self
 

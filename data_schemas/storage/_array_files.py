@@ -139,7 +139,7 @@ def read_npy(path: Path, what: str = "an npy file", error: type[FinrayError] = R
     try:
         shape, fortran, dtype = _header(file)
         if dtype.kind not in "fiub":
-            raise ValueError(f"holds {dtype}, not real numbers")
+            raise ValueError(f"contains {dtype}, not real numbers")
         if len(content) - file.tell() != math.prod(shape) * dtype.itemsize:
             raise ValueError(f"does not have the number of bytes that {dtype} of shape {shape} needs")
         return _shaped(content[file.tell() :], shape, fortran, dtype)

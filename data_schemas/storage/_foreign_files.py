@@ -124,7 +124,9 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
         kind = _kind_at(path)
         if kind is not None:
             raise error(f"{path}: is {kind}; give the path of {what}") from None
-        reason = fault.strerror if isinstance(fault, OSError) else "a null byte in it" if "\0" in str(path) else fault
+        reason = (
+            fault.strerror if isinstance(fault, OSError) else "it contains a null byte" if "\0" in str(path) else fault
+        )
         raise error(f"{str(path)!r}: cannot be read ({reason}); check the path and its permissions") from None
     kind = _kind_of(os.fstat(handle).st_mode)
     if kind is not None:
@@ -638,7 +640,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _refuse_half_characters(parsed: Any) -> None:
     """Refuse one half of a surrogate pair, which no file and no screen can show."""
     if any(_SURROGATE.search(text) for text in _texts(parsed)):
-        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff); write it anew")
+        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff); type the text again")
 
 
 def _refuse_odd_numbers(value: Any) -> None:

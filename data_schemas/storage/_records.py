@@ -421,7 +421,7 @@ A version without a step differs from the next by new fields alone, each with a 
 held before: its content is read as it is. The tests read a file of every version (``tests/schemas/frozen``)."""
 
 NOT_MIGRATED: Final[dict[tuple[str, int], str]] = {
-    ("PaintCalibration", 1): "it holds draws of another model of the paint, without the discrepancy",
+    ("PaintCalibration", 1): "it contains draws of another model of the paint, without the discrepancy",
 }
 """(kind, version) -> why the next version cannot be made from it."""
 

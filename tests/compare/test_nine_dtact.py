@@ -180,7 +180,7 @@ def test_a_table_of_words_or_one_that_does_not_grow_is_refused(tmp_path):
     path = tmp_path / "Pixel_to_Depth.npy"
     np.save(path, np.array(["deep", "deeper"]))
     with pytest.raises(
-        ImportFormatError, match=r"Pixel_to_Depth.npy: is not a plain numeric .npy file .holds <U6, not real numbers"
+        ImportFormatError, match=r"Pixel_to_Depth.npy: is not a plain numeric .npy file .contains <U6, not real numbers"
     ):
         load_depth_table(path)
     np.save(path, np.array([-0.9, 0.1, 0.3, 0.2]))

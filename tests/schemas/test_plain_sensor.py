@@ -93,7 +93,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[coating]\ndiffuse_share = 1.0\nroughness_alpha = 0.2\n',
-            RecordError, "roughness_alpha has no effect: a coat of diffuse_share = 1 holds no metal",
+            RecordError, "roughness_alpha has no effect, because a coat of diffuse_share = 1 contains no",
         ),
         (
             'kind = "sensor"\n[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 40.0\n',
@@ -101,7 +101,7 @@ def opened(path):
         ),
         (
             'kind = "sensor"\n[surface]\nfile = "a.stl"\nstep_mm = 0.1\n', RecordError,
-            r"surface\.step_mm has no effect: it belongs to a height map",
+            r"surface\.step_mm has no effect, because it belongs to a height map",
         ),
         (
             'kind = "sensor"\n[origin]\n"lights.wdith_mm" = "measured"\n', RecordError,
