@@ -93,8 +93,8 @@ def test_a_bayer_sensor_gives_the_same_map(captures):
             "press 2: a normal map is trained only on presses of a ball .* this press is by a ball without a",
         ),
         ({"mm_per_px": None}, "press 2: mm_per_px is missing"),
-        ({"encoding": "unknown"}, "press 2 has encoding unknown, press 1 linear"),
-        ({"bit_depth": 14}, "press 2 has bit_depth 14, press 1 12"),
+        ({"encoding": "unknown"}, "press 2 has encoding unknown, but press 1 has linear"),
+        ({"bit_depth": 14}, "press 2 has bit_depth 14, but press 1 has 12"),
         ({"mm_per_px": 0.06}, "press 2 has 0.06 mm per px, but press 1 has 0.05"),
         (
             {"indenter": IndenterPose(shape="cylinder", radius_mm=1.0, depth_mm=None, position_mm=None)},

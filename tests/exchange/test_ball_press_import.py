@@ -78,7 +78,7 @@ def test_pickled_parts_are_left_out_and_never_loaded(tmp_path):
             {"touch_radius": np.full(12, 30.0)},
             "press 1: the contact circle has a radius of 30 px, .* below the radius of the ball, 20 px",
         ),
-        ({"touch_radius": np.full(12, np.nan)}, "'touch_radius' must be finite numbers"),
+        ({"touch_radius": np.full(12, np.nan)}, "'touch_radius' must be an array of finite numbers"),
         ({"touch_center": np.full((12, 2), 70.0)}, "row 70, column 70, lies outside the picture of 80 x 60 px"),
         ({"imgs": np.array([None, 1], dtype=object)}, "'imgs' is stored as pickled objects, which are never loaded"),
     ],

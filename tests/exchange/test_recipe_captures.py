@@ -374,7 +374,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video: ffmpeg"),
+        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video with 'ffmpeg"),
         (b"RIFF\x04\0\0\0AVI ", "has 0 frames"),
         (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "cannot be decoded as a video"),
     ],

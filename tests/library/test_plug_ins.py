@@ -256,7 +256,7 @@ def test_record_is_read_where_the_package_is_not_installed():
     [
         (
             'shape = "barel"',
-            r"finger\.toml: 'pad': no installed package provides the pad shape 'barel'; there are",
+            r"finger\.toml: 'pad': no installed package provides the pad shape 'barel' \(available",
         ),
         (
             'shape = "barrel"\nparameters = { radius = 40.0 }',

@@ -105,7 +105,7 @@ def matrix_file(tmp_path, rows):
         (["450,0.1,0"], "at least two rows"),
         (
             ["450,0.1,0", "460,0,0.1", "480,0,0"],
-            r"paint.csv: emission_nm steps range from 10 to 20 nm; .*must be equal",
+            r"paint.csv: emission_nm steps range from 10 to 20 nm, but must be equal",
         ),
     ],
 )

@@ -57,7 +57,7 @@ def test_length_is_checked_before_and_while_reading(tmp_path):
         read_bytes(sparse)
     (tmp_path / "five").write_bytes(b"12345")
     assert read_bytes(tmp_path / "five", largest_bytes=5) == b"12345"
-    with pytest.raises(RecordError, match="is longer than 4 bytes"):
+    with pytest.raises(RecordError, match="is too long; at most 4 bytes"):
         read_bytes(tmp_path / "five", largest_bytes=4)
     (tmp_path / "nothing").write_bytes(b"")
     tracemalloc.start()
