@@ -228,7 +228,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
 @pytest.mark.parametrize(
     ("file", "edit", "words"),
     [
-        ("rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 6.0 "), "until_force_n must be below"),
+        ("rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 6.0 "), "until_force_n = 6 N must be below"),
         ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 90.0"), "outside the stage's travel of 0 to 80 mm"),
         ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 8.0\ntilt_deg = 5.0"), "the stage cannot tilt"),
         (

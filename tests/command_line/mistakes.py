@@ -591,7 +591,7 @@ CASES = (
         "import bands {lab}",
         r"lab\S*: bands\.toml, which tells what each image shows, is missing; write it as",
     ),
-    Case("not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); it does not begin"),
+    Case("not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); the file does not"),
     Case(
         "newer record",
         "decide {tmp}/sweep.json",

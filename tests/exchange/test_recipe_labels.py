@@ -311,7 +311,7 @@ def test_a_coded_video_is_read_as_a_motion_jpeg_one(tmp_path):
     assert np.abs(capture.contact - eight_bits(grasp()[20]).astype(float)).mean() < 3.0
     assert np.abs(capture.no_contact - UNTOUCHED.astype(float)).mean() < 3.0
     (tmp_path / "a.mp4").write_bytes(b"\0" * 5000)
-    with pytest.raises(ImportFormatError, match=r"a\.mp4: cannot be decoded as a video; convert the video: ffmpeg"):
+    with pytest.raises(ImportFormatError, match=r"a\.mp4: cannot be decoded as a video; convert the video with 'ff"):
         read_by_recipe(tmp_path, told(text))
 
 

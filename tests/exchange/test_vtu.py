@@ -53,5 +53,7 @@ def test_a_displacement_that_is_not_one_per_node_is_refused(mesh, wrong):
         displacement[0, 0] = np.nan
     else:
         displacement = displacement[1:]
-    with pytest.raises(SimulateError, match=r"displacement_mm must be finite, of shape \(\d+, 3\) as the nodes"):
+    with pytest.raises(
+        SimulateError, match=r"displacement_mm must be finite and have the shape of the nodes, \(\d+, 3\)"
+    ):
         vtu_bytes(mesh, displacement)

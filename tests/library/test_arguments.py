@@ -184,9 +184,9 @@ def test_errors_of_the_library_name_arguments():
 def test_a_file_that_cannot_be_written_is_told_in_words(home):
     (home / "file").write_text("here")
     for place in ("a\0b.json", "x" * 300 + ".json", "file/x.json", "/proc/x.json"):
-        with pytest.raises(RecordError, match=r"cannot be written: .*; choose another place"):
+        with pytest.raises(RecordError, match=r"cannot be written \(.*\); choose another place"):
             finray.write_record(sweep(), place)
-    with pytest.raises(RecordError, match=r"cannot be written: .*; choose another place"):
+    with pytest.raises(RecordError, match=r"cannot be written \(.*\); choose another place"):
         sweep().plot().save("/proc/x.svg")
     with pytest.raises(RecordError, match=r"a record is stored as \.json; choose a name that ends in it"):
         finray.write_record(sweep(), "x")

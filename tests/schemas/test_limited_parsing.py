@@ -37,8 +37,8 @@ def test_what_a_parser_refuses_is_its_own_error():
     ("name", "words"),
     [
         ("crashing", r"because the parser was ended by SIGSEGV .*; the file is corrupted"),
-        ("hanging", r"because the parsertook longer than 1 s"),
-        ("filling", r"because the parserran out of memory"),
+        ("hanging", r"because the parser took longer than 1 s"),
+        ("filling", r"because the parser ran out of memory"),
     ],
 )
 def test_a_death_is_one_sentence_and_the_next_file_is_read(monkeypatch, name, words):

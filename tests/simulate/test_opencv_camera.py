@@ -210,7 +210,7 @@ def test_errors_name_file_and_field(tmp_path):
         with pytest.raises(ImportFormatError, match=message):
             read_calibration(stored(tmp_path, message.split(":")[0], **changed))
     texts = {
-        "is longer than 1000000 bytes": "a: 1\n" * 300_000,
+        "is too long; at most 1000000 bytes": "a: 1\n" * 300_000,
         "cannot be read as YAML or JSON": "hello",
         "camera_matrix.data must be a matrix": "camera_matrix:\n  data: word\ndist_coeffs: [0, 0, 0, 0]\n",
     }
