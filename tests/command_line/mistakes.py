@@ -352,7 +352,7 @@ CASES = (
     Case(
         "rig for a record",
         "fit {lab}/rig.toml",
-        r"rig\.toml: cannot be read as JSON .*; it does not begin with \{ or \[; give the path of",
+        r"rig\.toml: cannot be read as JSON .*; the file does not begin with \{ or \[; give the path of",
     ),
     Case(
         "misspelt option",
@@ -547,7 +547,7 @@ CASES = (
     Case(
         "page for its record",
         "fit {lab}/report.html",
-        r"report\.html: cannot be read as JSON .*; it does not begin with \{ or \[",
+        r"report\.html: cannot be read as JSON .*; the file does not begin with \{ or \[",
     ),
     Case(
         "channel of a colour that a sensor lacks",
@@ -979,7 +979,7 @@ CASES = (
     Case(
         "empty record",
         "fit {tmp}/empty.json",
-        r"cannot be read as JSON .*; it is empty; give the path of a stored record",
+        r"cannot be read as JSON .*; the file is empty; give the path of a stored record",
         file("empty.json", ""),
     ),
     Case(
