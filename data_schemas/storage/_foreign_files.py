@@ -511,10 +511,7 @@ def read_csv(
         ) from None
     header = [name.strip() for name in rows[0][1]] if rows else []
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
-        raise error(
-            f"{path}: columns are separated by semicolons or tabs, but must be separated by commas; export it "
-            "with commas, and decimal points"
-        )
+        raise error(f"{path}: columns must be separated by commas, not semicolons or tabs; write decimals with a point")
     long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
     if long is not None:
         raise error(

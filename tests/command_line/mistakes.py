@@ -241,7 +241,7 @@ CASES = (
     Case(
         "semicolons between columns",
         BAD_RIG,
-        r"camera\.csv: columns are separated by semicolons or tabs, .*; export it with commas, and decimal points",
+        r"camera\.csv: columns must be separated by commas, not semicolons or tabs; write decimals with a point",
         curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
     ),
     Case("path with spaces", "capture a plan.toml", r"does not take plan\.toml; put a path with spaces in quotes; "),
@@ -583,7 +583,7 @@ CASES = (
     Case(
         "semicolons in a study",
         "check gauge-rr {tmp}/study.csv",
-        r"error: \S*study\.csv: columns are separated by semicolons or tabs",
+        r"error: \S*study\.csv: columns must be separated by commas, not semicolons or tabs",
         file("study.csv", "sample;session;value\nA;1;2\n"),
     ),
     Case(

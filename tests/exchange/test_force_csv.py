@@ -46,7 +46,7 @@ def test_uncertainties_may_be_absent(tmp_path):
         (csv("displacement_um,force_n"), "column 'displacement_um' is unknown; .* mm and N"),
         (
             csv("displacement_mm;force_n").replace(",", ";"),
-            "columns are separated by semicolons or tabs, .* export it with commas",
+            "columns must be separated by commas, not semicolons or tabs",
         ),
         (csv("displacement_mm,force_uncertainty_n"), "has no column 'force_n'"),
         (csv("displacement_mm,force_n,Force_N", [(*row, 1) for row in ROWS]), "a column appears twice"),
