@@ -503,7 +503,8 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if unit is not None and PURE_NUMBER.fullmatch(unit):
         unit = None
     given = fault.get("input")
-    is_told = message.endswith(repr(given)) or message.startswith(f"{given} ")
+    number = f"{given:g} " if isinstance(given, float) else f"{given} "
+    is_told = message.endswith(repr(given)) or message.startswith((repr(given), number))
     shown = f", got {given!r}" if isinstance(given, str | int | float | bool) and not is_told else ""
     fault_text, semicolon, remedy = message.partition("; ")
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""

@@ -141,7 +141,7 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
             r"vary: the point \[1, 5\.0\] is listed twice",
         ),
         (vary("seed", [1]) + vary("seed", [2]), r"seed is given more than once; give it once"),
-        ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
+        ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given more than once"),
         ("count = 4\n" + vary("seed", [1]), r'count must be given with combine = "random", and only then'),
         ('combine = "random"\ncount = 4\n' + vary("seed", [1]), r'combine = "random" needs low and high, not values'),
         ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high .* with combine = "random"; give'),

@@ -358,7 +358,7 @@ def test_origins_mark_what_the_paper_gives():
     ("build", "message"),
     [
         (lambda: Skeleton(rib_thickness_mm=0.0012), "rib_thickness_mm.*in metres, so write 1.2"),
-        (lambda: Skeleton(flange_mm=1500.0), "flange_mm.*in micrometres: write 1.5"),
+        (lambda: Skeleton(flange_mm=1500.0), "flange_mm.*in micrometres, so write 1.5"),
         (lambda: Skeleton(rib_width_mm=100.0), "rib_width_mm.*outside 0.2 to 20 mm"),
         (lambda: Skeleton(rib_thickness_mm=2.0, rib_spacing_mm=2.0), "rib_spacing_mm = 2 mm makes the ribs overlap"),
         (
