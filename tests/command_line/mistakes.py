@@ -146,7 +146,7 @@ CASES = (
     Case(
         "plan and rig exchanged",
         "capture {lab}/rig.toml --rig {lab}/plan.toml",
-        r"rig\.toml: holds a rig file, where a paint plan is needed; give that file",
+        r"rig\.toml: contains a rig file, but a paint plan is needed; give the path of",
     ),
     Case(
         "unknown key",
@@ -335,7 +335,7 @@ CASES = (
     Case(
         "wrong kind",
         "fit {paints}/red/paint.json",
-        r"paint\.json: holds a paint calibration, where band signals are needed",
+        r"paint\.json: contains a paint calibration, but band signals are needed",
     ),
     Case(
         "record for its session", "radiometry {lab}/session/session.json", r"session\.json: is a file; give the folder"
@@ -375,7 +375,7 @@ CASES = (
     Case(
         "rig for a finger",
         "study finger-stiffness {lab}/rig.toml",
-        r"rig\.toml: holds a rig file, where a finger design is needed; give that file",
+        r"rig\.toml: contains a rig file, but a finger design is needed; give the path of",
     ),
     Case(
         "classic sensor for a finger",
@@ -630,7 +630,7 @@ CASES = (
     Case(
         "bands as paint",
         SIMULATE + " --paint green={lab}/bands.json",
-        r"bands\.json: holds band signals, where a paint cal",
+        r"bands\.json: contains band signals, but a paint cal",
     ),
     Case(
         "mechanics with paints",
@@ -863,7 +863,7 @@ CASES = (
     Case(
         "compare exchanged",
         "compare {lab}/capture.json {lab}/press.json",
-        r"capture\.json: holds a tactile capture, where a simu",
+        r"capture\.json: contains a tactile capture, but a simu",
     ),
     Case(
         "three angles",
@@ -927,7 +927,7 @@ CASES = (
     Case(
         "material with uneven steps",
         "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
-        r"ink\.csv: emission_nm steps range from 10 to 30 nm; .* give the matrix on evenly spaced",
+        r"ink\.csv: emission_nm steps range from 10 to 30 nm, .* give the matrix on evenly spaced",
         file("ink.csv", MATRIX + "450,0.1,0\n460,0.1,0.1\n490,0,0\n"),
     ),
     Case(
@@ -1005,7 +1005,7 @@ CASES = (
     Case(
         "finger for a rig",
         "rig show {tmp}/finger.toml",
-        r"holds the design of a finger or sensor, where a rig file is needed; give that file",
+        r"contains the design of a finger or sensor, but a rig file is needed; give the path of",
         design("[pad]\nthickness_mm = 5.0"),
     ),
     Case(

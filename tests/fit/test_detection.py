@@ -259,7 +259,7 @@ class TestVerb:
 
     def test_reading_it_as_a_paint_says_why_not(self, stored):
         with pytest.raises(
-            RecordError, match=r"holds a paint without emission, where a paint calibration is needed: .*no emission"
+            RecordError, match=r"contains a paint without emission, but a paint calibration is needed; .*no emission"
         ):
             read_record(stored, PaintCalibration)
 

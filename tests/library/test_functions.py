@@ -167,7 +167,7 @@ def test_presses_are_compared_and_captures_decide(lab):
     assert set(report.provenance.input_sha256) == {f"{lab}/press.json", f"{lab}/capture.json"}
     decision = finray.decide_light_angle(lab / "sweep.json", [report])
     assert decision.validated
-    with pytest.raises(RecordError, match="holds a tactile capture, where a simulated press is needed"):
+    with pytest.raises(RecordError, match="contains a tactile capture, but a simulated press is needed"):
         finray.compare_press(lab / "capture.json", lab / "press.json")
     with pytest.raises(
         RecordError,

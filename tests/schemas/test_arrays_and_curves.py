@@ -80,7 +80,7 @@ def test_coverage_rule():
     assert curve.share_outside(x, weight) == pytest.approx(0.0977, abs=2e-3)
     note = require_coverage(curve, x, weight, "filter 405")
     assert note is not None
-    assert "end value is held" in note
+    assert "end value is used" in note
     with pytest.raises(CurveError, match=r"cam.csv: curve 'green' covers 400 to 700 nm, but 5\d %"):
         require_coverage(curve, x, np.exp(-(((x - 399) / 10) ** 2)), "filter 399")
 
@@ -133,7 +133,10 @@ def test_matrix_header(tmp_path):
     ("text", "message"),
     [
         ("wavelength_nm,r,g,b\n400,1,1,1\n410,1,1,1\n", "a camera response needs wavelength_nm,red_percent"),
-        ("wavelength_nm,red_percent,green_percent,blue_percent\n400,1,-1,1\n410,1,1,1\n", "must not be negative"),
+        (
+            "wavelength_nm,red_percent,green_percent,blue_percent\n400,1,-1,1\n410,1,1,1\n",
+            "is negative, but must be at least 0",
+        ),
         (
             "wavelength_nm,red_percent,green_percent,blue_percent\n400,1,0,1\n410,1,0,1\n",
             "column 'green_percent' is 0 in all rows",
@@ -196,7 +199,7 @@ def test_a_matrix_in_per_cent_is_refused_unless_it_is_meant(tmp_path):
     path = tmp_path / "paint.csv"
     rows = "emission_nm,450,460\n450,79,0\n460,3,81\n"
     path.write_text(rows)
-    with pytest.raises(CurveError, match=r"paint\.csv: the reflectance is 81 at 460 nm; .* in per cent"):
+    with pytest.raises(CurveError, match=r"paint\.csv: the reflectance is 81 at 460 nm, .* in per cent"):
         read_donaldson_matrix(path)
     path.write_text("# allow: reflectance above 1.2\n" + rows.replace("460,3", "460,0.3"))
     assert read_donaldson_matrix(path).reflectance.values.max() == 81.0

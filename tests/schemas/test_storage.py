@@ -199,7 +199,7 @@ def test_nonsense_version_is_refused(tmp_path, version):
 
 def test_wrong_kind_folder_missing_and_broken_files(tmp_path):
     path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
-    with pytest.raises(RecordError, match="holds a finger design, where band signals are needed"):
+    with pytest.raises(RecordError, match="contains a finger design, but band signals are needed"):
         read_record(path, BandSignals)
     with pytest.raises(RecordError, match="is a folder"):
         read_record(tmp_path, FingerDesign)
