@@ -255,9 +255,7 @@ class Indenter(FromPackage):
     def _path_is_not_too_long(self) -> "Indenter":
         total = sum(pose.increments or 1 for pose in self.path)
         if total > MOST_INCREMENTS:
-            raise ValueError(
-                f"path: the poses have {total} increments in total, but at most {MOST_INCREMENTS} are allowed"
-            )
+            raise ValueError(f"path: the poses have {total} increments, but at most {MOST_INCREMENTS} are allowed")
         return self
 
     @model_validator(mode="after")

@@ -524,15 +524,10 @@ class StageSettings(Model):
     @model_validator(mode="after")
     def _travel_makes_sense(self) -> "StageSettings":
         if self.press_axis == self.pad_axis:
-            raise ValueError(
-                f"press_axis and pad_axis are both {self.press_axis}, but must be different axes of the stage"
-            )
+            raise ValueError(f"press_axis and pad_axis are both {self.press_axis}, but must be different axes")
         for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
             if low >= high:
-                raise ValueError(
-                    f"{name}: the first position ({low:g} mm) must be below the second ({high:g} mm); "
-                    "write the lower position first"
-                )
+                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lower position first")
         if self.touch_step_mm > self.step_mm:
             raise ValueError(
                 f"touch_step_mm = {self.touch_step_mm:g} mm must not exceed step_mm = {self.step_mm:g} mm, the longest "
@@ -635,9 +630,7 @@ class RigFile(Record):
                 "driver 'simulated'"
             )
         if "simulated" in drivers and self.simulated is None:
-            raise ValueError(
-                "a simulated device needs a [simulated] table with a paint or a material, but this table is missing"
-            )
+            raise ValueError("the table [simulated] is missing; simulated devices need it, with a paint or a material")
         return self
 
     @model_validator(mode="after")
