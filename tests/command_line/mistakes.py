@@ -206,19 +206,19 @@ CASES = (
     Case(
         "decimal comma",
         BAD_PLAN,
-        r"plan\.toml: cannot be read as TOML \(.*\); correct the line 'target_fraction = 0,7': the decimal mark is",
+        r"plan\.toml: cannot be read as TOML \(.*\); correct the line 'target_fraction = 0,7' \(the decimal mark",
         edited("plan.toml", "target_fraction = 0.7", "target_fraction = 0,7"),
     ),
     Case(
         "text without quotes",
         BAD_PLAN,
-        r"plan\.toml: .*; correct the line 'paint_name = red': put text in straight quotes",
+        r"plan\.toml: .*; correct the line 'paint_name = red' \(put text in straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = red"),
     ),
     Case(
         "typographic quotes",
         BAD_PLAN,
-        r"plan\.toml: .*: write straight quotes",
+        r"plan\.toml: .* \(write straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = \u201cred\u201d"),
     ),
     Case(
@@ -526,7 +526,7 @@ CASES = (
     Case(
         "practice fault without its unit",
         BAD_RIG,
-        r"'simulated\.practice_fault': the size of 'stray light' is a number .* 'stray light, 10 DN/s'",
+        r"'simulated\.practice_fault': the size of 'stray light' must be a number .* 'stray light, 10 DN/s'",
         edited("rig.toml", "[simulated]", '[simulated]\npractice_fault = "stray light, 10"'),
     ),
     Case(
@@ -723,7 +723,7 @@ CASES = (
     Case(
         "gel in kPa",
         MECHANICS,
-        r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa: write 0\.1333",
+        r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa, so write 0\.1333",
         design("[mechanics.gel]\nc10_mpa = 133.3"),
     ),
     Case(
