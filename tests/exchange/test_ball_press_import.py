@@ -147,8 +147,8 @@ def write_member(path, content):
     ("content", "message"),
     [
         (npy(np.ones(10))[:-20], "cannot be read as npz .*; copy it again, or have its owner save it again"),
-        (npy_header((10**15,)), "cannot be read as npz .*more than the 512 MB allowed"),
-        (npy_header((10**30,)), "cannot be read as npz .*more than the 512 MB allowed"),
+        (npy_header((10**15,)), "cannot be read as npz .*at most 512 MB are allowed"),
+        (npy_header((10**30,)), "cannot be read as npz .*at most 512 MB are allowed"),
         (npy_header((-5,)), r"cannot be read as npz .*\(-5,\) is not a valid shape"),
         (b"\x93NUMPY\x01\x00\x05\x00(((((", "cannot be read as npz"),
     ],
