@@ -91,7 +91,7 @@ def test_a_board_that_is_not_what_it_is_said_to_be_leaves_residuals():
     rng = np.random.default_rng(7)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 8), rng)
     bent = [type(v)(v.name, v.places_mm, v.pixels + 12.0 * np.sin(v.places_mm[:, ::-1])) for v in views]
-    with pytest.raises(CompareError, match="check that the board is flat"):
+    with pytest.raises(CompareError, match="Check that the board is flat"):
         calibrate_lens(bent, SIZE_PX, "pinhole")
 
 

@@ -73,7 +73,7 @@ def test_folder_that_is_not_there_is_refused(my_lab, tmp_path):
 
 def test_format_of_two_packages_is_refused(my_lab, site, press):
     install(site, "other-files", {GROUP: {my_lab: "other_format"}}, other_format=RETURNS)
-    told = r"offered by my-lab-files 0\.1 and by other-files 0\.1, and finray cannot know"
+    told = r"provided by my-lab-files 0\.1 and by other-files 0\.1, so finray cannot tell"
     with pytest.raises(ImportFormatError, match=told):
         capture_by_package(my_lab, press)
 
