@@ -335,7 +335,7 @@ def test_two_packages_of_one_name_are_refused_and_no_other_driver_is(site: Path)
         install(site, package, {WHEELS: {"same": "same_wheel", "thorlabs": "same_wheel"}}, same_wheel="")
     with pytest.raises(
         RefusedError,
-        match=r"'same' is provided by o.*-wheel 0\.1 and by o.*-wheel 0\.1, so finray "
+        match=r"'same' is offered by o.*-wheel 0\.1 and by o.*-wheel 0\.1, and finray "
         r"cannot",
     ):
         find_driver("filter wheel", "same")
