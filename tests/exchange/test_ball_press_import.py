@@ -302,7 +302,7 @@ def test_ball_presses_of_the_command_line(tmp_path):
     folder = write_catalog(tmp_path / "g", 2, labelled=1)
     said = succeed(f"import ball-presses {folder} --mm-per-px {MM_PER_PX} --out {tmp_path}/o")
     assert "1 capture, 80 x 60 px" in said
-    assert "left out: 4.000mm/1: no label.npz" in said
+    assert "left out: 4.000mm/1: has no label.npz" in said
     capture = read_record(tmp_path / "o/press-001.capture.json", TactileCapture)
     assert capture.provenance is not None
     assert f"{folder}/catalog.csv" in capture.provenance.input_sha256

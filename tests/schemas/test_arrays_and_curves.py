@@ -81,7 +81,7 @@ def test_coverage_rule():
     note = require_coverage(curve, x, weight, "filter 405")
     assert note is not None
     assert "end value is used" in note
-    with pytest.raises(CurveError, match=r"cam.csv: curve 'green' covers 400 to 700 nm, but 5\d %"):
+    with pytest.raises(CurveError, match=r"cam.csv: curve 'green' covers only 400 to 700 nm, and 5\d %"):
         require_coverage(curve, x, np.exp(-(((x - 399) / 10) ** 2)), "filter 399")
 
 
