@@ -322,7 +322,7 @@ def test_a_link_behind_the_mark_of_an_array_does_not_lead_out(tmp_path, inner):
     save(tmp_path / "outside.png", flat())
     (folder / inner).parent.mkdir(exist_ok=True)
     (folder / inner).symlink_to(tmp_path / "outside.png")
-    with pytest.raises(ImportFormatError, match="points outside the folder"):
+    with pytest.raises(ImportFormatError, match="leads out of the folder"):
         read(folder, BALLS.replace('"rest.png"', f'"{inner}"'))
 
 

@@ -506,11 +506,11 @@ def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, te
         # 'mogrify -format png *.png' would write over the originals
         (
             ".png",
-            r"1\.png: neither .*; its content does not match its file extension, so copy the file again .*$",
+            r"1\.png: is neither .*; its content does not match its file extension, so copy .*$",
         ),
         (
             ".JPG",
-            r"1\.JPG: neither .*; its content does not match its file extension, so copy the file again .*$",
+            r"1\.JPG: is neither .*; its content does not match its file extension, so copy .*$",
         ),
         (".mp4", r"no_contact\.frames_before is missing; state how many frames of a video are without contact"),
     ],

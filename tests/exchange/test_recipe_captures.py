@@ -217,7 +217,7 @@ def test_links_that_lead_out_of_the_folder_are_refused(tmp_path):
     save(tmp_path / "secret.png", flat())
     save(folder / "a.png", grasp()[20])
     (folder / "rest.png").symlink_to(tmp_path / "secret.png")
-    with pytest.raises(ImportFormatError, match=r"rest\.png: points outside the folder; copy the file into the folder"):
+    with pytest.raises(ImportFormatError, match=r"rest\.png: leads out of the folder; copy the file into it"):
         read_by_recipe(folder, recipe(PICTURES))
 
 

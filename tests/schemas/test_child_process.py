@@ -103,7 +103,7 @@ def test_errors_of_the_operating_system_keep_their_file(child, tmp_path):
 def test_memory_is_limited_and_told():
     with pytest.raises(
         ProcessDiedError,
-        match=r"^ran out of memory \(its limit is 0\.5 GiB more than it had at the start\); it had taken 0",
+        match=r"^ran out of memory \(its limit is 0\.5 GiB more than it had at the start\) after it had taken 0",
     ):
         call_in_child(f"{DYING}:take_memory", {"gib": 1.0}, memory_bytes=1 << 29)
     assert call_in_child(f"{DYING}:take_memory", {"gib": 0.25}, memory_bytes=1 << 29) == 1 << 28

@@ -156,6 +156,6 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
 
 def test_curves_that_miss_a_band_are_refused(paints):
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
-    with pytest.raises(CurveError, match=r"camera\.csv: curve 'red' covers only 444 to 780 nm, and 2\d % .* the led band"):
+    with pytest.raises(CurveError, match=r"curve 'red' covers only 444 to 780 nm, and 2\d % .* the led band"):
         finger(paints, first_nm=444.0).camera_matrix(bands)
     assert finger(paints).coverage_notes(bands) == ()

@@ -300,7 +300,7 @@ def test_doctor_lists_them_and_says_what_is_wrong(grbl: Path) -> None:
     offered.cache_clear()
     wrong = check_drivers()
     assert wrong["state"] == "note"
-    assert wrong["found"].startswith("camera: driver 'broken' of package broken-camera 0.1 lacks open_camera")
+    assert wrong["found"].startswith("camera: driver 'broken' of package broken-camera 0.1 does not define open_camera")
     assert wrong["mend"].startswith("update it (pip install --upgrade broken-camera)")
 
 
