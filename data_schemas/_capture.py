@@ -103,7 +103,9 @@ class PaintPlan(Record):
     @model_validator(mode="after")
     def _tilt_is_whole(self) -> "PaintPlan":
         if (self.second_tilt_deg is None) != (self.second_tilt_filters is None):
-            raise ValueError("second_tilt_deg and second_tilt_filters go together: give both or leave both out")
+            raise ValueError(
+                "second_tilt_deg and second_tilt_filters must be given together; give both or leave both out"
+            )
         return self
 
 
@@ -280,9 +282,11 @@ class LoadCellCalibration(Record):
     @model_validator(mode="after")
     def _means_are_complete(self) -> "LoadCellCalibration":
         if not len(self.masses_kg) == len(self.counts) == len(self.counts_uncertainties) >= 3:
-            raise ValueError("masses_kg, counts and counts_uncertainties: need the same number of entries, 3 or more")
+            raise ValueError(
+                "masses_kg, counts and counts_uncertainties must have the same number of entries, at least 3"
+            )
         if self.slope_n_per_count == 0.0:
-            raise ValueError("slope_n_per_count: is 0, so that no force could be read; calibrate the cell again")
+            raise ValueError("slope_n_per_count is 0, so no force could be read; calibrate the load cell again")
         return self
 
 
@@ -380,17 +384,20 @@ class TactileCapture(Record):
 
     @model_validator(mode="after")
     def _images_agree(self) -> "TactileCapture":
-        if self.contact_outline is not None and (self.contact_circle is not None or len(self.contact_outline) < 3):
-            raise ValueError(
-                "contact_outline: needs 3 corners or more, and cannot be given together with contact_circle; correct "
-                "the outline, or leave one of the two out"
-            )
+        if self.contact_outline is not None and self.contact_circle is not None:
+            raise ValueError("contact_outline and contact_circle are both given; leave one of them out")
+        if self.contact_outline is not None and len(self.contact_outline) < 3:
+            raise ValueError(f"contact_outline must have at least 3 corners, got {len(self.contact_outline)}")
         samples = {"RGB": 3, "Bayer RGGB": 1}[self.layout]
         if self.contact.shape[2] != samples:
-            raise ValueError(f"layout {self.layout} needs {samples} sample(s) per pixel, got {self.contact.shape[2]}")
+            raise ValueError(
+                f"layout {self.layout} needs {samples} sample(s) per pixel, but the images have {self.contact.shape[2]}"
+            )
         rows, columns = self.contact.shape[:2]
         if self.layout != "RGB" and (rows % 2 or columns % 2):
-            raise ValueError(f"layout {self.layout} needs even rows and columns (2 x 2 cells), got {rows} x {columns}")
+            raise ValueError(
+                f"layout {self.layout} needs even numbers of rows and columns (2 x 2 cells), got {rows} x {columns}"
+            )
         return self
 
 
@@ -427,22 +434,25 @@ class TactileRig(Record):
     def _devices_fit(self) -> "TactileRig":
         if (self.stage is None) != (self.load_cell is None):
             raise ValueError(
-                "stage and load_cell go together: nothing would stop a stage that presses without a load cell; "
-                "describe both, or leave both out"
+                "stage and load_cell must be given together, because nothing would stop a stage that presses without "
+                "a load cell; describe both, or leave both out"
             )
         named = [self.camera.driver] + [part.driver for part in (self.stage, self.load_cell) if part is not None]
         if 0 < named.count("simulated") < len(named):
-            raise ValueError("simulated and real devices cannot share a rig; name real drivers for all, or for none")
+            raise ValueError(
+                "simulated and real devices cannot be mixed in one rig; give all devices a real driver, "
+                "or all the driver 'simulated'"
+            )
         if self.is_simulated and (self.stage is None or self.simulated is None):
             raise ValueError(
-                "camera.driver: a simulated camera needs the tables [simulated], [stage] and [load_cell] of a "
-                "simulated finger: 'finray rig init --preset simulated-finger' writes them. Without a rig, simulate a "
-                "press with 'finray simulate render'"
+                "camera.driver is 'simulated', so the tables [simulated], [stage] and [load_cell] of a simulated "
+                "finger are needed; 'finray rig init --preset simulated-finger' writes them. To simulate a press "
+                "without a rig, run 'finray simulate render'"
             )
         if self.stage is not None and self.load_cell is not None and self.stage.address == self.load_cell.address != "":
             raise ValueError(
-                f"stage and load_cell are both at {self.stage.address}; a serial port holds one device "
-                "only: correct one of the addresses"
+                f"stage and load_cell have the same address, {self.stage.address}, but a serial port connects only "
+                "one device; correct one of the addresses"
             )
         return self
 
@@ -474,7 +484,9 @@ class PlannedPress(Model):
     @model_validator(mode="after")
     def _forces_in_order(self) -> "PlannedPress":
         if None not in (self.until_force_n, self.force_limit_n) and self.until_force_n >= self.force_limit_n:  # type: ignore[operator]
-            raise ValueError(f"until_force_n must be below force_limit_n = {self.force_limit_n:g} N")
+            raise ValueError(
+                f"until_force_n = {self.until_force_n:g} N must be below force_limit_n = {self.force_limit_n:g} N"
+            )
         return self
 
     def pose(self, indenter: PressIndenter) -> IndenterPose:
@@ -555,17 +567,17 @@ class TactilePlan(Record):
     @model_validator(mode="after")
     def _poses_come_once(self) -> "TactilePlan":
         if bool(self.presses) == (self.poses_csv is not None):
-            raise ValueError("needs either [[presses]] tables or poses_csv, one of the two")
+            raise ValueError("exactly one of [[presses]] tables and poses_csv must be given")
         return self
 
     @model_validator(mode="after")
     def _exposures_come_once(self) -> "TactilePlan":
         if bool(self.exposures_s) == (self.bracket_powers is not None):
-            raise ValueError("needs either exposures_s or bracket_powers, one of the two")
+            raise ValueError("exactly one of exposures_s and bracket_powers must be given")
         if len(set(self.exposures_s)) < len(self.exposures_s):
             raise ValueError("exposures_s: an exposure is listed twice; list each once")
         if self.bracket_powers is not None and self.bracket_powers[0] > self.bracket_powers[1]:
-            raise ValueError("bracket_powers: the first must not exceed the last")
+            raise ValueError("bracket_powers: the first power must not be greater than the last")
         return self
 
     def bracket_s(self, camera: CameraSettings) -> tuple[float, ...]:

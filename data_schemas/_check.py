@@ -273,7 +273,7 @@ class TactileCheckPlan(Record):
     @model_validator(mode="after")
     def _scale_has_an_uncertainty(self) -> "TactileCheckPlan":
         if (self.mm_per_px is None) != (self.mm_per_px_u_rel is None):
-            raise ValueError("mm_per_px and mm_per_px_u_rel: give both, or leave both out")
+            raise ValueError("mm_per_px and mm_per_px_u_rel must be given together; give both, or leave both out")
         return self
 
 

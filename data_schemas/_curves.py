@@ -39,8 +39,8 @@ def _increasing(wavelength_nm: Floats) -> Floats:
         )
     if wavelength_nm[0] < 200 or wavelength_nm[-1] > 2500:
         raise ValueError(
-            f"wavelengths must lie within 200 to 2500 nm, got {wavelength_nm[0]:g} to {wavelength_nm[-1]:g}; "
-            "are they in nm?"
+            f"wavelengths must lie within 200 to 2500 nm, got {wavelength_nm[0]:g} to {wavelength_nm[-1]:g}; check "
+            "that they are in nm"
         )
     return wavelength_nm
 
@@ -98,12 +98,12 @@ def require_coverage(curve: SpectralCurve, wavelength_nm: ArrayLike, weight: Arr
     span = f"{curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm"
     if share > LARGEST_SHARE_OUTSIDE:
         raise CurveError(
-            f"{curve.source}: curve '{curve.name}' covers {span}, but {100 * share:.0f} % of the weight of {band} lies "
-            f"outside (at most {100 * LARGEST_SHARE_OUTSIDE:.0f} % is allowed); give a curve that covers the band"
+            f"{curve.source}: curve '{curve.name}' covers only {span}, and {100 * share:.0f} % of the weight of {band} "
+            f"lies outside (at most {100 * LARGEST_SHARE_OUTSIDE:.0f} % is allowed); give a curve that covers the band"
         )
     return (
-        f"{curve.name} covers {span}; its end value is held for {100 * share:.1f} % of the weight of {band} with a "
-        f"relative uncertainty of {EXTRAPOLATION_UNCERTAINTY_REL:g} there"
+        f"{curve.name} covers only {span}; outside, where {100 * share:.1f} % of the weight of {band} lies, its end "
+        f"value is used with a relative uncertainty of {EXTRAPOLATION_UNCERTAINTY_REL:g}"
     )
 
 
@@ -128,8 +128,8 @@ class DonaldsonMatrix(Model):
         wanted = (len(self.emission_nm), len(self.excitation_nm))
         if self.radiance_factor_per_nm.shape != wanted:
             raise ValueError(
-                f"radiance_factor_per_nm has shape {self.radiance_factor_per_nm.shape}, but must have "
-                f"emission x excitation = {wanted}"
+                f"radiance_factor_per_nm has shape {self.radiance_factor_per_nm.shape}, but must have shape "
+                f"(emission, excitation) = {wanted}"
             )
         return self
 
@@ -137,7 +137,7 @@ class DonaldsonMatrix(Model):
         """Return the emission per nm for light at `excitation_nm`, interpolated between columns."""
         if not self.excitation_nm[0] <= excitation_nm <= self.excitation_nm[-1]:
             raise CurveError(
-                f"{self.source}: no excitation data at {excitation_nm:g} nm; the matrix covers "
+                f"{self.source}: the matrix has no data for excitation at {excitation_nm:g} nm; it covers only "
                 f"{self.excitation_nm[0]:g} to {self.excitation_nm[-1]:g} nm"
             )
         columns = self.radiance_factor_per_nm
@@ -168,8 +168,8 @@ def half_maximum_nm(curve: SpectralCurve) -> tuple[float, float]:
     first, last = int(above[0]), int(above[-1])
     if first == 0 or last == len(curve.values) - 1:
         raise CurveError(
-            f"{curve.source}: the curve from {curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm does not "
-            "fall to 50 % of its peak on both sides; give the whole pass band"
+            f"{curve.source}: the curve ({curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm) does not fall "
+            "to 50 % of its peak on both sides; give a curve of the whole pass band"
         )
     return _crossing_nm(curve, first, first - 1), _crossing_nm(curve, last, last + 1)
 
@@ -200,15 +200,15 @@ def _filter_curve_note(band: BandPassFilter, curve: SpectralCurve) -> str:
     center_nm = 0.5 * (low_nm + high_nm)
     if abs(center_nm - band.center_nm) > LARGEST_CENTER_DIFFERENCE_NM:
         raise CurveError(
-            f"{curve.source}: the pass band has its centre at {center_nm:.4g} nm, but filter {band.name} has "
-            f"center_nm = {band.center_nm:g}; they may differ by at most {LARGEST_CENTER_DIFFERENCE_NM:g} nm: correct "
-            "center_nm, or name the curve of this filter"
+            f"{curve.source}: the pass band is centred at {center_nm:.4g} nm, but filter {band.name} has center_nm = "
+            f"{band.center_nm:g}, and they may differ by at most {LARGEST_CENTER_DIFFERENCE_NM:g} nm; correct "
+            "center_nm, or give the curve of this filter"
         )
     require_coverage(curve, *_nominal_pass_band(band), f"filter {band.name}")
     return (
-        f"filter {band.name}: measured transmission {curve.source}, half of its peak at {low_nm:.2f} and {high_nm:.2f} "
-        f"nm; below 10^-{band.blocking_od:g} and outside {curve.wavelength_nm[0]:g} to {curve.wavelength_nm[-1]:g} nm "
-        "the blocking_od holds"
+        f"filter {band.name}: transmission measured ({curve.source}), half of its peak at {low_nm:.2f} and "
+        f"{high_nm:.2f} nm; blocking_od is used below 10^-{band.blocking_od:g} and outside {curve.wavelength_nm[0]:g} "
+        f"to {curve.wavelength_nm[-1]:g} nm"
     )
 
 
@@ -257,4 +257,4 @@ def check_named_curves(filters: Iterable[BandPassFilter], curves: Mapping[str, S
     for name in sorted(named.keys() ^ curves.keys()):
         if name in named:
             raise ValueError(f"filter_curves: the curve {named[name]} of filter {name!r} is missing")
-        raise ValueError(f"filter_curves: {name!r} is not a filter that names a curve")
+        raise ValueError(f"filter_curves: {name!r} is not a filter with a curve assigned to it")

@@ -317,7 +317,10 @@ class PaintChoice(Record):
     @model_validator(mode="after")
     def _one_row_a_pair(self) -> "PaintChoice":
         if len(self.normal_error_draws_deg) != len(self.pairs):
-            raise ValueError(f"there are {len(self.normal_error_draws_deg)} rows of draws, but {len(self.pairs)} pairs")
+            raise ValueError(
+                f"the draws have {len(self.normal_error_draws_deg)} rows, but must have one for each of "
+                f"the {len(self.pairs)} pairs"
+            )
         return self
 
 
@@ -414,8 +417,8 @@ class FingerTolerances(Record):
     def _one_column_a_row(self) -> "FingerTolerances":
         if self.inputs.shape != (len(self.losses_rel), len(self.rows)):
             raise ValueError(
-                f"inputs has shape {self.inputs.shape}, but there are {len(self.losses_rel)} runs of "
-                f"{len(self.rows)} numbers"
+                f"inputs has shape {self.inputs.shape}, but must have a row for each of the {len(self.losses_rel)} "
+                f"runs and a column for each of the {len(self.rows)} numbers"
             )
         return self
 
@@ -517,11 +520,11 @@ class LightPowers(Record):
     @model_validator(mode="after")
     def _one_row_a_light(self) -> "LightPowers":
         if len(self.basis) != len(self.rows):
-            raise ValueError(f"the basis has {len(self.basis)} lights, but there are {len(self.rows)} rows")
-        if (self.design is None) == (self.sensor is None):
             raise ValueError(
-                "light powers belong either to a finger (design) or to a classic sensor (sensor); give one of them"
+                f"the basis has {len(self.basis)} lights, but must have one for each of the {len(self.rows)} rows"
             )
+        if (self.design is None) == (self.sensor is None):
+            raise ValueError("exactly one of design (a finger) and sensor (a classic sensor) must be given")
         return self
 
     @property

@@ -178,8 +178,8 @@ class FingerDesign(Record):
         width, ribs = self.skeleton.width_mm, self.skeleton.rib_width_mm
         if width is not None and self.pad.width_mm + 2.0 * ribs >= width:
             raise ValueError(
-                f"skeleton.width_mm = {width:g} mm: the pad (pad.width_mm = {self.pad.width_mm:g} mm) and a rib of "
-                f"rib_width_mm = {ribs:g} mm at each side are wider than the fin"
+                f"skeleton.width_mm = {width:g} mm is too narrow; it must be more than the pad (pad.width_mm = "
+                f"{self.pad.width_mm:g} mm) and a rib at each side (rib_width_mm = {ribs:g} mm) together"
             )
         return self
 
@@ -190,13 +190,13 @@ class FingerDesign(Record):
         for name in ("peak_wavelength_nm", "fwhm_nm"):
             for panel, light in others:
                 if getattr(self.light, name) != getattr(light, name):
-                    raise ValueError(f"{panel}.{name} must equal light.{name}: all panels share one LED band")
+                    raise ValueError(f"{panel}.{name} must equal light.{name}, because all panels share one LED band")
         return self
 
     @model_validator(mode="after")
     def _press_on_the_pad(self) -> "FingerDesign":
         if not 0.0 <= self.indenter.position_mm <= self.pad.length_mm:
-            metres = f"; pad.length_mm looks like a number in metres: write {1e3 * self.pad.length_mm:g}"
+            metres = f"; pad.length_mm looks like a number in metres, so write {1e3 * self.pad.length_mm:g}"
             raise ValueError(
                 f"indenter.position_mm = {self.indenter.position_mm} mm must lie on the pad (0 to "
                 f"{self.pad.length_mm} mm){metres if self.pad.length_mm < 1.0 else ''}"
@@ -225,8 +225,7 @@ def of_known_fields(model: type[BaseModel], told: dict[str, Any]) -> dict[str, A
             raise ValueError(f"'{name}' is not a field of the design; {hint}")
         if isinstance(told[name], float) and told[name] > 1.0:
             raise ValueError(
-                f"'{name}' = {told[name]:g}: is a relative standard uncertainty, so at most 1 is allowed; write "
-                "0.05 for 5 %"
+                f"'{name}' = {told[name]:g}: a relative standard uncertainty must be at most 1; write 0.05 for 5 %"
             )
     return told
 
@@ -361,8 +360,9 @@ class ColouredLight(Model):
         reach_mm = self.height_mm / 2.0 * abs(float(np.cos(np.radians(self.angle_deg))))
         if reach_mm >= self.depth_mm:
             raise ValueError(
-                f"depth_mm = {self.depth_mm:g} mm puts an edge of the {self.channel} panel at the inner face or above "
-                f"it; it must be more than {reach_mm:.3g} mm for a panel of this height and angle"
+                f"depth_mm = {self.depth_mm:g} mm is too small, because an edge of the {self.channel} panel would "
+                f"touch or cross the inner face; it must be more than {reach_mm:.3g} mm for a panel of this height "
+                "and angle"
             )
         return self
 
@@ -370,7 +370,7 @@ class ColouredLight(Model):
     def _white_has_no_peak(self) -> "ColouredLight":
         for name in ("peak_wavelength_nm", "fwhm_nm"):
             if self.channel == "white" and getattr(self, name) is not None:
-                raise ValueError(f"{name} belongs to a coloured LED; a white one has a fixed spectrum: leave it out")
+                raise ValueError(f"{name} is not supported for a white LED, whose spectrum is fixed; leave {name} out")
         return self
 
 
@@ -472,7 +472,9 @@ class SensorCoat(Coating):
             other = "translucent" if layer else "diffuse_reflectance_rgb"
             idle["diffuse_reflectance"] = f"coating.{other} already states the reflectance; leave out one of the two"
         if self.diffuse_share == 1.0:
-            idle["roughness_alpha"] = "a coat of diffuse_share = 1 holds no metal; leave it out, or lower the share"
+            idle["roughness_alpha"] = (
+                "a coat of diffuse_share = 1 contains no metal; leave the field out, or lower the share"
+            )
         return idle
 
 
@@ -505,18 +507,18 @@ class CoatSurface(Model):
     def _kind_of_file(self) -> "CoatSurface":
         suffix = self.file.lower()[-4:]
         if suffix not in (".npy", ".png", ".stl"):
-            raise ValueError(f"file = {self.file!r} must end in .npy, .png (height map) or .stl (mesh)")
+            raise ValueError(f"file = {self.file!r} must end in .npy or .png (height map), or in .stl (mesh)")
         if suffix != ".stl" and self.step_mm is None:
-            raise ValueError("step_mm is missing: a height map needs the distance between neighbouring points, in mm")
+            raise ValueError("step_mm is missing; a height map needs the distance between neighbouring points in mm")
         if suffix == ".png" and self.unit_mm is None:
-            raise ValueError("unit_mm is missing: a picture needs the height of one grey level in mm, such as 0.001")
+            raise ValueError("unit_mm is missing; a picture needs the height of one grey level in mm, such as 0.001")
         return self
 
     def unused_fields(self) -> dict[str, str]:
         """Return the fields of a map where a mesh is given."""
         if not self.file.lower().endswith(".stl"):
             return {}
-        why = "it belongs to a height map, but an STL file holds mm in the axes of the pad; leave it out"
+        why = "it belongs to a height map, but an STL file is already in mm and in the axes of the pad; leave it out"
         return dict.fromkeys(("holds", "step_mm", "unit_mm", "position_mm", "across_mm"), why)
 
 
@@ -567,8 +569,8 @@ class PlainSensor(Record):
         layer = self.coating.translucent
         if layer is not None and layer.thickness_mm > self.pad.thickness_mm:
             raise ValueError(
-                f"coating.translucent.thickness_mm = {layer.thickness_mm:g} mm is part of the gel; it must be at most "
-                f"pad.thickness_mm = {self.pad.thickness_mm:g} mm"
+                f"coating.translucent.thickness_mm = {layer.thickness_mm:g} mm must be at most pad.thickness_mm = "
+                f"{self.pad.thickness_mm:g} mm, because the layer is part of the gel"
             )
         return self
 

@@ -93,8 +93,9 @@ class GelPad(FromPackage):
         needs = {"cylindrical": "radius_mm", "ellipsoidal": "semi_axes_mm"}
         for shape, name in needs.items():
             if (getattr(self, name) is not None) != (self.shape == shape):
-                state = "missing" if self.shape == shape else f"given, although the pad is {self.shape}"
-                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
+                if self.shape == shape:
+                    raise ValueError(f'{name} is missing, but shape = "{shape}" needs it')
+                raise ValueError(f'{name} is supported only for shape = "{shape}", but shape is "{self.shape}"')
         half_width, half_length = self.width_mm / 2.0, self.length_mm / 2.0
         if self.radius_mm is not None and self.radius_mm <= half_width:
             raise ValueError(
@@ -104,16 +105,16 @@ class GelPad(FromPackage):
             a, _, c = self.semi_axes_mm
             if (half_width / a) ** 2 + (half_length / c) ** 2 >= 1.0:
                 raise ValueError(
-                    f"semi_axes_mm: an ellipsoid of {a:g} mm across and {c:g} mm along does not cover the corners of a "
-                    f"pad of {self.length_mm:g} x {self.width_mm:g} mm; needs (width/2a)^2 + (length/2c)^2 < 1"
+                    f"semi_axes_mm: an ellipsoid of {a:g} mm across and {c:g} mm along does not cover the corners of "
+                    f"a pad of {self.length_mm:g} x {self.width_mm:g} mm; (width/2a)^2 + (length/2c)^2 must be below 1"
                 )
         if self.shape not in PAD_SHAPE_NAMES:
             return self._checked_outside()
         edge_mm = self.thickness_mm - self.drop_mm(half_width, half_length)
         if edge_mm <= 0.0:
             raise ValueError(
-                f"thickness_mm = {self.thickness_mm:g} mm leaves no gel at the corners, where the face lies "
-                f"{self.thickness_mm - edge_mm:.3g} mm below the crown; make the pad thicker or its radii larger"
+                f"thickness_mm = {self.thickness_mm:g} mm leaves no gel at the corners of the pad, where its face "
+                f"lies {self.thickness_mm - edge_mm:.3g} mm below the crown; make the pad thicker or its radii larger"
             )
         return self
 
@@ -254,7 +255,7 @@ class Indenter(FromPackage):
     def _path_is_not_too_long(self) -> "Indenter":
         total = sum(pose.increments or 1 for pose in self.path)
         if total > MOST_INCREMENTS:
-            raise ValueError(f"path: its poses have {total} increments; at most {MOST_INCREMENTS} in all are allowed")
+            raise ValueError(f"path: the poses have {total} increments, but at most {MOST_INCREMENTS} are allowed")
         return self
 
     @model_validator(mode="after")
@@ -262,13 +263,13 @@ class Indenter(FromPackage):
         self._hold_package(INDENTER_SHAPES, self.shape, INDENTER_SHAPE_NAMES)
         for shape, name in (("cuboid", "size_mm"), ("mesh", "file")):
             if (getattr(self, name) is not None) != (self.shape == shape):
-                state = "missing" if self.shape == shape else f"given for a {self.shape}"
-                raise ValueError(f'{name} is {state}; only shape = "{shape}" has this key, and needs it')
+                if self.shape == shape:
+                    raise ValueError(f'{name} is missing, but shape = "{shape}" needs it')
+                raise ValueError(f'{name} is supported only for shape = "{shape}", but shape is "{self.shape}"')
         if 0.0 < self.depth_mm < LEAST_DEPTH_MM:
             raise ValueError(
                 f"depth_mm = {self.depth_mm:g} mm is less than the {LEAST_DEPTH_MM:g} mm that the finest mesh "
-                f"resolves;"
-                f" it looks like a number in metres: write {1e3 * self.depth_mm:g}"
+                f"resolves; it looks like a number in metres, so write {1000.0 * self.depth_mm:g}"
             )
         if self.size_mm is not None and 2.0 * self.edge_radius_mm > min(self.size_mm):
             raise ValueError(
@@ -377,8 +378,8 @@ class Mirror(Model):
                 raise ValueError(f"{name}: y must be negative (behind the inner face, y = 0 mm), got {place[0]:g} mm")
         if self.base_yz_mm is not None and self.tip_yz_mm is not None and self.tip_yz_mm[1] <= self.base_yz_mm[1]:
             raise ValueError(
-                f"tip_yz_mm: z = {self.tip_yz_mm[1]:g} mm must be more than that of base_yz_mm, "
-                f"{self.base_yz_mm[1]:g} mm"
+                f"tip_yz_mm: z = {self.tip_yz_mm[1]:g} mm must be greater than z = {self.base_yz_mm[1]:g} mm of "
+                "base_yz_mm"
             )
         return self
 
@@ -424,7 +425,8 @@ class TactileCamera(Model):
     def _whole_bayer_cells(self) -> "TactileCamera":
         if self.width_px % 2 or self.height_px % 2:
             raise ValueError(
-                f"width_px and height_px must be even (Bayer cells), got {self.width_px} x {self.height_px}"
+                f"width_px and height_px must be even, because Bayer cells are 2 x 2 pixels, got {self.width_px} x "
+                f"{self.height_px}"
             )
         return self
 
@@ -466,7 +468,7 @@ def check_magnitude(value: float, low: float, high: float, unit: str) -> float:
     if low <= value <= high:
         return value
     meant = [(value * factor, name) for factor, name in _MISTAKEN[unit].items() if low <= value * factor <= high]
-    hint = "".join(f"; it looks like a number in {name}: write {right:g}" for right, name in meant[:1])
+    hint = "".join(f"; it looks like a number in {name}, so write {right:g}" for right, name in meant[:1])
     raise ValueError(f"{value:g} {unit} is outside {low:g} to {high:g} {unit}{hint}")
 
 
@@ -559,7 +561,7 @@ class Skeleton(Model):
         needed = self.rib_thickness_mm / math.cos(math.radians(self.rib_angle_deg))
         if self.rib_spacing_mm is not None and self.rib_count > 1 and self.rib_spacing_mm <= needed:
             raise ValueError(
-                f"rib_spacing_mm = {self.rib_spacing_mm:g} mm makes the ribs overlap: it must be more than "
+                f"rib_spacing_mm = {self.rib_spacing_mm:g} mm makes the ribs overlap; it must be more than "
                 f"rib_thickness_mm / cos(rib_angle_deg) = {needed:.3g} mm"
             )
         return self
@@ -622,18 +624,18 @@ class OgdenSolid(Rubber):
     def _terms_are_complete(self) -> "OgdenSolid":
         if len(self.mu_mpa) != len(self.alpha) or not self.mu_mpa or 0.0 in self.alpha:
             raise ValueError(
-                f"mu_mpa and alpha need one value per term and no alpha of 0, got {list(self.mu_mpa)} MPa and "
-                f"{list(self.alpha)}"
+                "mu_mpa and alpha must have the same number of terms, at least 1, and no alpha may be 0; got "
+                f"{list(self.mu_mpa)} MPa and {list(self.alpha)}"
             )
         if sum(self.mu_mpa) <= 0.0:
             raise ValueError(
-                f"mu_mpa: the initial shear modulus, their sum, is {sum(self.mu_mpa):g} MPa and must be positive; "
-                "constants of an energy with the factor mu / alpha must be multiplied by alpha / 2"
+                "mu_mpa: the initial shear modulus (the sum of the terms) must be positive, but is "
+                f"{sum(self.mu_mpa):g} MPa; multiply constants of an energy with the factor mu / alpha by alpha / 2"
             )
         try:
             check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")
         except ValueError as outside:
-            raise ValueError(f"mu_mpa: the initial shear modulus (the sum): {outside}") from None
+            raise ValueError(f"mu_mpa: the initial shear modulus (the sum of the terms) of {outside}") from None
         return self
 
 

@@ -157,8 +157,8 @@ class EmissionDetection(Model):
         if self.yield_limit is None:
             return f"{self.verdict}: {beyond}"
         return (
-            f"{self.verdict}: yield below {self.yield_limit:.2g} with 95 % (modes from {self.limit_low_nm:.0f} to "
-            f"{self.limit_high_nm:.0f} nm); {beyond}"
+            f"{self.verdict}: the yield is below {self.yield_limit:.2g} with 95 % probability (modes from "
+            f"{self.limit_low_nm:.0f} to {self.limit_high_nm:.0f} nm), and {beyond}"
         )
 
 
@@ -576,7 +576,8 @@ class PaintMap(Record):
         rows, columns = self.chi_square.shape
         if (self.area.height_px, self.area.width_px) != (rows, columns):
             raise ValueError(
-                f"area is {self.area.height_px} x {self.area.width_px} px but the maps have {rows} x {columns}"
+                f"area is {self.area.height_px} x {self.area.width_px} px, but the maps have {rows} x {columns} px; "
+                "the sizes must be equal"
             )
         return self
 
@@ -616,7 +617,7 @@ class CertifiedLimits(Model):
     @model_validator(mode="after")
     def _limits_are_in_order(self) -> "CertifiedLimits":
         if self.low is None and self.high is None:
-            raise ValueError("give low, high or both: without a limit there is nothing to conform to")
+            raise ValueError("neither low nor high is given, so there is nothing to conform to; give one or both")
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ValueError(f"low = {self.low:g} must not be above high = {self.high:g}")
         return self

@@ -58,7 +58,7 @@ def call_record_method(record: object, method: str, *arguments: Any, **options: 
 
     if method not in _homes:
         raise RecordError(
-            f"{type(record).__name__}.{method}(): comes with the package finray_calib, which is not imported; write "
+            f"{type(record).__name__}.{method}() is part of the package finray_calib, which is not imported; write "
             "'import finray_calib' first"
         )
     module, _, function = _homes[method].partition(":")

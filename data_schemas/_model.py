@@ -53,7 +53,9 @@ def _number(value: Any) -> Any:
     if isinstance(value, bool | str | bytes):
         raise ValueError(f"must be a number, got {value!r}"[:120])
     if isinstance(value, Estimate | PropagatedDraws):  # float() would take the median, in whatever unit
-        raise ValueError(f"must be a number, got {value} with its uncertainty; give its .estimate in the field's unit")
+        raise ValueError(
+            f"must be a number, got {value} with an uncertainty; give its .estimate in the unit of the field"
+        )
     return value
 
 
@@ -129,7 +131,7 @@ class Model(_MadeInPython):
         """
         if unknown := sorted(set(update or ()) - set(type(self).model_fields)):
             raise RecordError(
-                f"{type(self).__name__}: has no field {unknown[0]!r}; its fields are "
+                f"{type(self).__name__} has no field {unknown[0]!r}; valid names are "
                 f"{', '.join(sorted(type(self).model_fields))}"
             )
         return super().model_copy(update=update, deep=deep)
@@ -323,8 +325,8 @@ class Quantity(Estimate):
         if self.unit in ("", "1"):
             return self.estimate
         raise TypeError(
-            f"{self}: as a plain number it would lose its unit, {self.unit}, and an array could mix units; write "
-            f".estimate for the median in {self.unit}"
+            f"{self} cannot become a plain number, because its unit, {self.unit}, would be lost; write .estimate for "
+            f"the median in {self.unit}"
         )
 
 
@@ -370,8 +372,8 @@ class PropagatedDraws:
         """
         if self.draws.ndim != 1:
             raise RecordError(
-                f"an estimate holds one number, but the function returned arrays of shape {self.draws.shape[1:]}; take "
-                "estimate, sd, low95 and high95, which have that shape"
+                f"an estimate must be one number, but the function returned arrays of shape {self.draws.shape[1:]}; "
+                "use estimate, sd, low95 and high95, which are arrays of this shape"
             )
         low95, low68, estimate, high68, high95 = np.quantile(self.draws, [0.025, 0.16, 0.5, 0.84, 0.975])
         sd = float(self.draws.std(ddof=1))
@@ -405,19 +407,21 @@ def propagate_draws(draws: Floats, function: Callable[[Floats], ArrayLike]) -> P
         What was given is no function, or it returned different shapes, or what is not a finite number.
     """
     if not callable(function):
-        raise RecordError(f"a function of an emission is needed, such as numpy.max; got {type(function).__name__}")
+        raise RecordError(f"expected a function of an emission, such as numpy.max, got {type(function).__name__}")
     _require_one_argument(function)
     made = [np.asarray(function(draw)) for draw in draws]
     shapes = {one.shape for one in made}
     if len(shapes) != 1 or any(one.dtype.kind not in "fuib" for one in made):
         found = ", ".join(sorted({f"{one.dtype} of shape {one.shape}" for one in made}))
-        raise RecordError(f"the function must return a number, or an array of one shape, for every draw; not {found}")
+        raise RecordError(
+            f"the function must return a number, or an array of the same shape, for every draw, but it returned {found}"
+        )
     values = np.array(made, dtype=np.float64)
     if not np.isfinite(values).all():
         bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())
         raise RecordError(
-            f"the function returned NaN or an infinite value for {bad} of {len(values)} draws, so that no interval can "
-            "be given; make it return a number for every emission, also where a draw is slightly below 0"
+            f"the function returned NaN or an infinite value for {bad} of {len(values)} draws, so no interval can be "
+            "given; make it return a finite number for every emission, even where a draw is slightly below 0"
         )
     return PropagatedDraws(values)
 
@@ -432,7 +436,7 @@ def _require_one_argument(function: Callable[[Floats], ArrayLike]) -> None:
         signature.bind(None)
     except TypeError:
         raise RecordError(
-            f"the function takes {signature}, but it is called with one argument, a draw of the emission; give a "
+            f"the function takes {signature}, but is called with one argument, a draw of the emission; give a "
             "function of one argument, such as lambda emission_per_nm: f(emission_per_nm, wavelength_nm)"
         ) from None
 
@@ -486,8 +490,8 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if fault["type"] == "extra_forbidden":
         known = sorted(_fields_at(model, location[:-1]) - {"provenance"})
         near = difflib.get_close_matches(location[-1], known, 1, cutoff=0.5)
-        hint = f"did you mean '{near[0]}'? " if near else ""
-        return f"'{field}': unknown key; {hint}known keys are {', '.join(known)}"
+        hint = f"did you mean '{near[0]}'? Known" if near else "known"
+        return f"'{field}': unknown key; {hint} keys are {', '.join(known)}"
     if fault["type"] == "missing":
         return f"'{field}': is missing and must be given"
     if fault["type"] in PLAIN:
@@ -499,12 +503,13 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if unit is not None and PURE_NUMBER.fullmatch(unit):
         unit = None
     given = fault.get("input")
-    shown = (
-        f", got {given!r}" if isinstance(given, str | int | float | bool) and not message.endswith(repr(given)) else ""
-    )
+    number = f"{given:g} " if isinstance(given, float) else f"{given} "
+    is_told = message.endswith(repr(given)) or message.startswith((repr(given), number))
+    shown = f", got {given!r}" if isinstance(given, str | int | float | bool) and not is_told else ""
+    fault_text, semicolon, remedy = message.partition("; ")
     place = f"'{field}'{f' (in {unit})' if unit else ''}: " if field else ""
     hint = f"; correct it, and give it in {unit}" if unit and fault["type"] in OUT_OF_BOUNDS else ""
-    return f"{place}{message[:1].lower()}{message[1:]}{shown}{hint}"
+    return f"{place}{fault_text[:1].lower()}{fault_text[1:]}{shown}{semicolon}{remedy}{hint}"
 
 
 def _path(location: tuple[str | int, ...]) -> str:

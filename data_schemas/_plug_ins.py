@@ -122,7 +122,7 @@ class PlugIn:
         except (Exception, SystemExit) as error:  # whatever a module does when it is imported
             raise self.refusal(f"cannot be imported ({type(error).__name__}: {error})") from error
         if lacking := [member for member in self.kind.members if not hasattr(module, member.partition("(")[0])]:
-            raise self.refusal(f"lacks {' and '.join(lacking)} in its module {self.module}")
+            raise self.refusal(f"does not define {' and '.join(lacking)} in its module {self.module}")
         return module
 
     def call(self, function: Callable[[], Result], at: str = "", when: str = "") -> Result:
@@ -160,7 +160,7 @@ class PlugIn:
             names = [p.name if p.default is p.empty else f"{p.name} (by default {p.default})" for p in taken]
             raise self.kind.error(
                 f"{self.label} takes the parameters {', '.join(names) or 'none'}, but the design gives "
-                f"{', '.join(parameters) or 'none'}: correct the parameters in the design"
+                f"{', '.join(parameters) or 'none'}; correct the parameters in the design"
             ) from None
 
 
@@ -195,13 +195,13 @@ def find_plug_in(kind: PlugInKind, name: str, ours: Iterable[str] = ()) -> PlugI
     if not found:
         known = ", ".join([*ours, *sorted(one.label for one in offered)]) or "none"
         raise kind.error(
-            f"no installed package provides the {kind.noun} '{name}'; there are: {known}. Correct the name, "
-            f"or install the package that provides it ({kind.how_to})"
+            f"no installed package provides the {kind.noun} '{name}' (available: {known}); correct the name, or "
+            f"install the package that provides it ({kind.how_to})"
         )
     if len(found) > 1:
         raise kind.error(
-            f"{kind.noun} '{name}' is offered by {' and by '.join(sorted(one.source for one in found))}, and finray "
-            "cannot know which one you mean; uninstall one of them, or ask the author of one to rename it"
+            f"{kind.noun} '{name}' is provided by {' and by '.join(sorted(one.source for one in found))}, so finray "
+            "cannot tell which one you mean; uninstall one of the packages, or ask the author of one to rename it"
         )
     return found[0]
 
@@ -218,8 +218,8 @@ def require_plug_in(kind: PlugInKind, name: str, source: str | None, ours: Itera
     if source is not None and found.source != source:
         package, _, version = source.rpartition(" ")
         raise kind.error(
-            f"{kind.noun} '{name}' comes from {source} in this design, but {found.source} is installed: "
-            f"install that version (pip install {package}=={version}), or take package out of the design and "
+            f"the design uses the {kind.noun} '{name}' of {source}, but {found.source} is installed; install the "
+            f"version of the design (pip install {package}=={version}), or remove 'package' from the design and "
             "compute again"
         )
     return found
@@ -245,11 +245,11 @@ def numbers_of(plug_in: PlugIn, what: str, given: Any, shape: tuple[int, ...], a
     try:
         values = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise plug_in.refusal(f"returns a {type(given).__name__} as {what}, where numbers are needed", at) from None
+        raise plug_in.refusal(f"returns {what} of type {type(given).__name__}, but numbers are needed", at) from None
     if values.shape != shape:
-        raise plug_in.refusal(f"returns {what} of shape {values.shape}, where {shape} is needed", at)
+        raise plug_in.refusal(f"returns {what} of shape {values.shape}, but shape {shape} is needed", at)
     if not np.isfinite(values).all():
-        raise plug_in.refusal(f"returns {what} that is not finite at {int((~np.isfinite(values)).sum())} places", at)
+        raise plug_in.refusal(f"returns {what} with {int((~np.isfinite(values)).sum())} NaN or infinite values", at)
     return values
 
 
@@ -320,15 +320,15 @@ class PackagedPad:
         middle = float(drop[_CHECKED_A_SIDE // 2, _CHECKED_A_SIDE // 2])
         if abs(middle) > _CROWN_MM or drop.min() < -_CROWN_MM:
             raise self._plug_in.refusal(
-                "has its crown at another place: drop_mm must be 0 mm in the middle of the pad and nowhere "
-                f"negative, but is {middle:.3g} mm in the middle and {drop.min():.3g} mm at its lowest", "pad: ",
+                "has its crown in the wrong place; drop_mm must be 0 mm in the middle of the pad and nowhere "
+                f"negative, but it is {middle:.3g} mm in the middle and {drop.min():.3g} mm at its lowest", "pad: ",
             )  # fmt: skip
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)
             raise self._plug_in.kind.error(
-                f"thickness_mm = {thickness_mm:g} mm leaves no gel {x[at]:.3g} mm across and {z[at]:.3g} mm along from "
-                f"the middle, where the face of {self._plug_in.label} lies {drop.max():.3g} mm below the crown; make "
-                "the pad thicker, or change pad.parameters"
+                f"thickness_mm = {thickness_mm:g} mm leaves no gel {x[at]:.3g} mm across and {z[at]:.3g} mm along "
+                f"from the middle, because the face of {self._plug_in.label} lies {drop.max():.3g} mm below the crown "
+                "there; make the pad thicker, or change pad.parameters"
             )
         self._check_curvature(width_mm, length_mm, parameters)
 
@@ -343,8 +343,8 @@ class PackagedPad:
         bound = self.most_curvature_per_mm(width_mm / 2.0, length_mm / 2.0, parameters)
         if not bound >= 0.0 or most > _CURVATURE_SLACK * bound + 1e-6:
             raise self._plug_in.refusal(
-                f"bends by {most:.3g} per mm, more than the {bound:.3g} per mm that its most_curvature_per_mm gives as "
-                "a bound", "pad: ",
+                f"has a curvature of {most:.3g} per mm, more than the bound of {bound:.3g} per mm that its "
+                "most_curvature_per_mm returns", "pad: ",
             )  # fmt: skip
 
 
@@ -377,14 +377,14 @@ def check_pad_shape(
 def require_address(driver: str, address: str) -> None:
     """Refuse a driver without an address, and an address that nothing would use."""
     if driver in NO_ADDRESS and address:
-        raise ValueError(f"address: driver '{driver}' has no address; leave it out")
+        raise ValueError(f"address: driver '{driver}' does not take an address; leave the address out")
     if driver in NO_ADDRESS or address:
         return
     if driver in _WITH_ADDRESS:
-        raise ValueError(f"address: driver '{driver}' needs an address; 'finray rig detect' prints it")
+        raise ValueError(f"address: driver '{driver}' needs an address; run 'finray rig detect' to find it")
     near = difflib.get_close_matches(driver, (*NO_ADDRESS, *_WITH_ADDRESS), 1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'? If" if near else "if"
     raise ValueError(
-        f"driver: finray has no driver '{driver}'; {hint} another package provides this driver, give its address as "
-        "well"
+        f"driver: finray has no driver '{driver}'; {hint} another package provides this driver, also give the address "
+        "of the driver"
     )

@@ -152,13 +152,15 @@ class BandSignals(Record):
         for name in ("fluorescence", "reflectance", "saturated_fraction"):
             if getattr(self, name).shape != (n, 3):
                 raise ValueError(
-                    f"{name} has shape {getattr(self, name).shape}, but must have filters x channels = ({n}, 3)"
+                    f"{name} has shape {getattr(self, name).shape}, but must have shape (filters, channels) = ({n}, 3)"
                 )
         for name in ("fluorescence_covariance", "reflectance_covariance"):
             if getattr(self, name).shape != (3 * n, 3 * n):
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, but must have ({3 * n}, {3 * n})")
+                raise ValueError(
+                    f"{name} has shape {getattr(self, name).shape}, but must have shape ({3 * n}, {3 * n})"
+                )
         if len(self.flags) != n:
-            raise ValueError(f"flags has {len(self.flags)} rows for {n} filters")
+            raise ValueError(f"flags has {len(self.flags)} rows, but must have one for each of the {n} filters")
         return self
 
     @model_validator(mode="after")
@@ -181,22 +183,22 @@ def _require_covariance(name: str, covariance: Floats) -> None:
     """Refuse a covariance of usable values that no measurement can have: zero, not finite, or not positive definite."""
     variance = np.diagonal(covariance)
     if not np.isfinite(covariance).all():
-        raise ValueError(f"{name} holds values that are not finite; every usable value needs its variance")
+        raise ValueError(f"{name} contains NaN or infinite values; give every usable value a finite variance")
     if not (variance > 0).all():
         raise ValueError(
-            f"{name} has a variance of {variance.min():g} for a usable value; every usable value has noise: state its "
-            "variance (photon and read noise at least), or flag the value as weak"
+            f"{name} has a variance of {variance.min():g} for a usable value, but it must be above 0, because every "
+            "usable value has noise; give the variance (photon and read noise at least), or flag the value as weak"
         )
     sd = np.sqrt(variance)
     correlation = covariance / np.outer(sd, sd)
     if np.abs(correlation - correlation.T).max(initial=0.0) > ASYMMETRY:
-        raise ValueError(f"{name} is not symmetric: give C_ij and C_ji the same value")
+        raise ValueError(f"{name} is not symmetric; give C_ij and C_ji the same value")
     least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2).min(initial=1.0))
     if least < LEAST_EIGENVALUE:
         raise ValueError(
-            f"{name} is not positive definite over the usable values (least eigenvalue of the correlations "
-            f"{least:.2g}, at least {LEAST_EIGENVALUE:g} is allowed): some combination of values would have no noise; "
-            "give every value a variance of its own"
+            f"{name} is not positive definite over the usable values, so some combination of values would have no "
+            f"noise (the least eigenvalue of the correlations is {least:.2g}, but must be at least "
+            f"{LEAST_EIGENVALUE:g}); give every value a variance of its own"
         )
 
 
@@ -242,11 +244,14 @@ class PixelSignals(Record):
         rows, columns = self.channel.shape
         if (self.area.height_px, self.area.width_px) != (rows, columns):
             raise ValueError(
-                f"area is {self.area.height_px} x {self.area.width_px} px but the arrays have {rows} x {columns}"
+                f"area is {self.area.height_px} x {self.area.width_px} px, but the arrays have {rows} x {columns} px; "
+                "the sizes must be equal"
             )
         if self.channel.size and self.channel.max() > 2:
             # compiled functions take it as an index and check none
-            raise ValueError(f"channel holds {self.channel.max()}, but a pixel is 0 (red), 1 (green) or 2 (blue)")
+            raise ValueError(
+                f"channel contains {self.channel.max()}, but only 0 (red), 1 (green) and 2 (blue) are supported"
+            )
         return self
 
 
@@ -459,10 +464,14 @@ class ImportedFilter(Model):
     def _known_by_one_way(self) -> "ImportedFilter":
         nominal = (self.center_nm is not None, self.fwhm_nm is not None)
         if self.curve is None and not all(nominal):
-            raise ValueError(f"filter {self.name!r} needs center_nm and fwhm_nm, or curve (a CSV file)")
+            raise ValueError(
+                f"filter {self.name!r} has neither a curve nor both center_nm and fwhm_nm; give curve (a "
+                "CSV file), or the two numbers"
+            )
         if self.curve is not None and any(nominal):
             raise ValueError(
-                f"filter {self.name!r}: curve and center_nm or fwhm_nm contradict each other; give only one of them"
+                f"filter {self.name!r} has a curve as well as center_nm or fwhm_nm, which could contradict it; give "
+                "either the curve or the two numbers"
             )
         return self
 
@@ -535,5 +544,7 @@ class BandFolder(Record):
             times = getattr(self.exposure_s, field)
             missing = [n for n in names if isinstance(times, dict) and n not in times]
             if missing:
-                raise ValueError(f"exposure_s.{field}: filter {missing[0]!r} is missing; give a time for each filter")
+                raise ValueError(
+                    f"exposure_s.{field}: the time for filter {missing[0]!r} is missing; give a time for each filter"
+                )
         return self

@@ -161,16 +161,16 @@ def formatted_interval(numbers: tuple[float, float, float], form: str, unit: str
     parts = _FORMAT.fullmatch(form)
     if parts is None:
         raise ValueError(
-            f"{form!r} is no format of a number with its interval: give decimals such as '.1f', '.3g' or '.2e', a "
-            "width such as '>30', or both, '>30.1f'"
+            f"{form!r} is not a format for a number with its interval; give decimals such as '.1f', '.3g' or '.2e', a "
+            "width such as '>30', or both, such as '>30.1f'"
         )
     text, of_number = plain, parts["sign"] + parts["number"]
     if of_number:
         if of_number.endswith("%"):
             if unit not in ("", "1"):
                 raise ValueError(
-                    f"{form!r} writes a ratio in per cent, and this number is in {unit}; give decimals such as '.1f', "
-                    "or divide its median, .estimate, by what it is a share of"
+                    f"{form!r} formats a ratio in per cent, but this number is in {unit}; give decimals such as "
+                    "'.1f', or divide .estimate, the median, by the whole first"
                 )
             unit = ""
         estimate, low, high = (format(number, of_number).replace("%", " %") for number in numbers)

@@ -86,8 +86,8 @@ def _driver_name(name: str) -> str:
     """Refuse what is no name of a driver."""
     if not re.fullmatch(DRIVER_NAME, name):
         raise ValueError(
-            "must be the name of a driver, such as 'thorlabs': at most 40 lower-case letters, digits and hyphens. A "
-            "rig file cannot name a module, because it must not decide which code runs: install the package that "
+            "must be the name of a driver, such as 'thorlabs' (at most 40 lower-case letters, digits and hyphens); a "
+            "rig file cannot name a module, because it must not decide which code runs. Install the package that "
             "provides the driver"
         )
     return name
@@ -177,11 +177,9 @@ class FilterWheelSettings(Model):
         for what, values in columns.items():
             twice = sorted({v for v in values if values.count(v) > 1})
             if twice:
-                raise ValueError(
-                    f"{what} {twice[0]} is used by two filters; list each filter once, with its own {what}"
-                )
+                raise ValueError(f"{what} {twice[0]} is used by two filters; give each filter a different {what}")
         if not self.filters:
-            raise ValueError("lists no filter; give at least one [[filter_wheel.filters]] table")
+            raise ValueError("has no filters; add at least one [[filter_wheel.filters]] table")
         return self
 
 
@@ -199,7 +197,7 @@ def _day_text(value: object) -> object:
         try:
             date.fromisoformat(value)
         except ValueError:
-            raise ValueError("must be a day such as 2026-03-02, without quotes") from None
+            raise ValueError("must be a date such as 2026-03-02, without quotes") from None
     return value
 
 
@@ -242,13 +240,13 @@ class LaserSettings(Model):
         if self.driver == "manual":
             raise ValueError(
                 "driver: a laser cannot be switched by hand, because nothing would switch it off when the capture "
-                "stops; name the driver of a controller, such as 'arduino'"
+                "stops; give the driver of a controller, such as 'arduino'"
             )
         missing = {"wavelength_nm", "power_mw", "laser_class"} - self.model_fields_set
         if self.driver != "simulated" and missing:
             raise ValueError(
-                f"a real laser is switched on only when the rig file states its {', '.join(sorted(missing))}; read "
-                "them from its label"
+                f"{', '.join(sorted(missing))} must be given for a real laser, which is not switched on otherwise; "
+                "read the missing values from the label of the laser"
             )
         return self
 
@@ -285,8 +283,8 @@ class LampSettings(Model):
     def _spectrum_is_known(self) -> "LampSettings":
         if not re.fullmatch(PLANCK_OR_CSV, self.spectrum) or not 1500.0 <= self.temperature_k <= 9999.0:
             raise ValueError(
-                f"spectrum: {self.spectrum!r} is not known; write planck-2856K (a temperature from 1500 K in kelvin), "
-                "or the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
+                f"spectrum: {self.spectrum!r} is not supported; give planck-2856K (or another temperature, from 1500 "
+                "to 9999 K), or the name of a CSV file (wavelength_nm,power_rel) with the measured spectrum"
             )
         return self
 
@@ -417,13 +415,15 @@ def practice_fault(text: str, faults: Mapping[str, FaultSizes] = PRACTICE_FAULTS
     if name == EXCHANGED_FILTERS and faults is PRACTICE_FAULTS:
         pair = tuple(part.strip() for part in size.split(" and ")) if size else USUAL_PAIR
         if len(pair) != 2 or pair[0] == pair[1] or not all(pair):
-            raise ValueError(f"name the two filters, such as '{name}, {' and '.join(USUAL_PAIR)}'")
+            raise ValueError(
+                f"'{name}' needs the names of two different filters, such as '{name}, {' and '.join(USUAL_PAIR)}'"
+            )
         return PracticeFault(name, pair=(pair[0], pair[1]))
     if name not in faults:
         known = (*faults, EXCHANGED_FILTERS) if faults is PRACTICE_FAULTS else tuple(faults)
         near = difflib.get_close_matches(name, known, 1, cutoff=0.5)
-        hint = f"did you mean '{near[0]}'? " if near else ""
-        raise ValueError(f"'{name}' is not a practice fault; {hint}allowed are {', '.join(known)}")
+        hint = f"did you mean '{near[0]}'? Valid" if near else "valid"
+        raise ValueError(f"'{name}' is not a practice fault; {hint} names are {', '.join(known)}")
     sizes = faults[name]
     if not size:
         return PracticeFault(name, sizes.value)
@@ -434,7 +434,7 @@ def practice_fault(text: str, faults: Mapping[str, FaultSizes] = PRACTICE_FAULTS
         value = math.nan
     if unit.strip() != sizes.unit or not sizes.low <= value <= sizes.high:
         raise ValueError(
-            f"the size of '{name}' is a number from {sizes.low:g} to {sizes.high:g} with a space and its unit, such "
+            f"the size of '{name}' must be a number from {sizes.low:g} to {sizes.high:g}, a space and the unit, such "
             f"as '{name}, {sizes.value:g} {sizes.unit}'"
         )
     return PracticeFault(name, value)
@@ -524,10 +524,10 @@ class StageSettings(Model):
     @model_validator(mode="after")
     def _travel_makes_sense(self) -> "StageSettings":
         if self.press_axis == self.pad_axis:
-            raise ValueError(f"press_axis and pad_axis are both {self.press_axis}; name the two axes of the stage")
+            raise ValueError(f"press_axis and pad_axis are both {self.press_axis}, but must be different axes")
         for name, (low, high) in (("press_travel_mm", self.press_travel_mm), ("pad_travel_mm", self.pad_travel_mm)):
             if low >= high:
-                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lowest position first")
+                raise ValueError(f"{name}: {low:g} mm must be below {high:g} mm; write the lower position first")
         if self.touch_step_mm > self.step_mm:
             raise ValueError(
                 f"touch_step_mm = {self.touch_step_mm:g} mm must not exceed step_mm = {self.step_mm:g} mm, the longest "
@@ -536,8 +536,8 @@ class StageSettings(Model):
         low, high = self.press_travel_mm
         if not low <= self.clear_mm <= high or self.clear_mm == self.deepest_mm:
             raise ValueError(
-                f"clear_mm = {self.clear_mm:g} mm must lie within press_travel_mm ({low:g} to {high:g} mm), and not at "
-                f"its end in the pad ({self.deepest_mm:g} mm)"
+                f"clear_mm = {self.clear_mm:g} mm must lie within press_travel_mm ({low:g} to {high:g} mm), but not "
+                f"at the end that lies in the pad ({self.deepest_mm:g} mm)"
             )
         return self
 
@@ -571,7 +571,7 @@ class LoadCellSettings(Model):
             )
         if self.silent_s * self.rate_hz < 4.0:
             raise ValueError(
-                f"silent_s = {self.silent_s:g} s holds fewer than four readings at {self.rate_hz} Hz; give at least "
+                f"silent_s = {self.silent_s:g} s is too short for four readings at {self.rate_hz} Hz; give at least "
                 f"{4.0 / self.rate_hz:g} s"
             )
         return self
@@ -625,11 +625,12 @@ class RigFile(Record):
         drivers = (self.camera.driver, self.filter_wheel.driver, self.laser.driver, self.lamp.driver)
         if 0 < drivers.count("simulated") < len(drivers):
             raise ValueError(
-                "simulated and real devices cannot share a rig: the simulated bench does not see what real ones do; "
-                "name a real driver for the camera, filter_wheel, laser and lamp, or for none of them"
+                "simulated and real devices cannot be mixed in one rig, because the simulated bench does not see "
+                "what real devices do; give camera, filter_wheel, laser and lamp all a real driver, or all the "
+                "driver 'simulated'"
             )
         if "simulated" in drivers and self.simulated is None:
-            raise ValueError("a simulated device needs a [simulated] table that names a paint or a material")
+            raise ValueError("the table [simulated] is missing; simulated devices need it, with a paint or a material")
         return self
 
     @model_validator(mode="after")
@@ -639,7 +640,7 @@ class RigFile(Record):
         lost = [] if fault is None else [name for name in fault.pair if name and name not in known]
         if lost:
             raise ValueError(
-                f"simulated.practice_fault: there is no filter '{lost[0]}'; the filters are {', '.join(known)}"
+                f"simulated.practice_fault: no filter is named '{lost[0]}'; valid names are {', '.join(known)}"
             )
         return self
 
@@ -648,13 +649,15 @@ class RigFile(Record):
         laser, lamp = ((light.driver, light.address) for light in (self.laser, self.lamp))
         if laser == lamp and self.laser.address:
             raise ValueError(
-                f"laser and lamp are both driver '{laser[0]}' at {laser[1]}: one switch cannot serve both; correct one"
+                f"laser and lamp have the same driver '{laser[0]}' and address {laser[1]}, but one switch cannot "
+                "control both; correct one of them"
             )
         wheel = self.filter_wheel
         for role, light in (("laser", self.laser), ("lamp", self.lamp)):
             if (wheel.driver, light.driver) == ("thorlabs", "arduino") and wheel.address == light.address:
                 raise ValueError(
-                    f"filter_wheel and {role} are both at {wheel.address}: a serial port holds one device; correct one"
+                    f"filter_wheel and {role} have the same address, {wheel.address}, but a serial port connects only "
+                    "one device; correct one of the addresses"
                 )
         return self
 

@@ -48,7 +48,7 @@ class CameraCalibration(Model):
         allowed = PINHOLE_COEFFICIENTS if self.model == "pinhole" else FISHEYE_COEFFICIENTS
         if len(self.distortion) not in allowed:
             raise ValueError(
-                f"distortion: a {self.model} model has {', '.join(map(str, allowed[:-1]))} or {allowed[-1]} "
+                f"distortion: a {self.model} model must have {', '.join(map(str, allowed[:-1]))} or {allowed[-1]} "
                 f"coefficients, got {len(self.distortion)}"
             )
         return self
@@ -150,7 +150,10 @@ class PixelScale(Record):
     def _lengths_agree(self) -> "PixelScale":
         expected = 4 + len(self.calibration.distortion) + 6
         if self.covariance.shape[0] != expected:
-            raise ValueError(f"covariance: {self.covariance.shape[0]} rows, but lens and place have {expected} numbers")
+            raise ValueError(
+                f"covariance has {self.covariance.shape[0]} rows, but must have {expected}, one for each "
+                "number of the lens and its place"
+            )
         return self
 
 
@@ -322,7 +325,10 @@ class SensorFit(Record):
     @model_validator(mode="after")
     def _one_draw_of_each(self) -> "SensorFit":
         if self.draws.shape[1] != len(self.numbers):
-            raise ValueError(f"draws: {self.draws.shape[1]} columns, but there are {len(self.numbers)} numbers")
+            raise ValueError(
+                f"draws has {self.draws.shape[1]} columns, but must have one for each of the "
+                f"{len(self.numbers)} numbers"
+            )
         if (self.finger is None) == (self.sensor is None):
-            raise ValueError("finger, sensor: the fit belongs to one of them; give only one")
+            raise ValueError("exactly one of finger and sensor must be given")
         return self

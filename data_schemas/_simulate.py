@@ -153,10 +153,10 @@ class AngleObjective(Model):
     def _positive(self) -> "AngleObjective":
         least = min(float(v.min()) for v in (self.values, self.place_values) if v is not None)
         if not least > 0.0:
-            raise ValueError(f"{self.name}: values must be positive, but the least is {least:g} {self.unit}")
+            raise ValueError(f"{self.name}: values must be positive, but the smallest is {least:g} {self.unit}")
         if (self.place_values is None) != (self.places_mm is None):
             raise ValueError(
-                f"{self.name}: values at places and the places themselves belong together; give both or leave both out"
+                f"{self.name}: place_values and places_mm must be given together; give both or leave both out"
             )
         return self
 
@@ -208,8 +208,8 @@ def narrow_sweep_text(angles_deg: Sequence[float] | Floats) -> str:
     first, last = float(np.min(angles_deg)), float(np.max(angles_deg))
     return (
         f"{len(angles_deg)} angles of the light from {first:g} to {last:g} deg span less than {NARROWEST_SWEEP_DEG:g} "
-        f"deg: in radians that would be {np.degrees(first):.0f} to {np.degrees(last):.0f} deg. Give the angles in "
-        f"degrees, or --narrow-sweep if they are meant in degrees"
+        f"deg, which suggests radians ({np.degrees(first):.0f} to {np.degrees(last):.0f} deg). Give the angles in "
+        "degrees, or add --narrow-sweep if they already are"
     )
 
 
@@ -247,7 +247,8 @@ class LightAngleSweep(Record):
         for objective in self.other_objectives:
             if len(objective.values) != len(self.angles_deg):
                 raise ValueError(
-                    f"{objective.name} has {len(objective.values)} angles, but the sweep has {len(self.angles_deg)}"
+                    f"{objective.name} has values for {len(objective.values)} angles, but the sweep has "
+                    f"{len(self.angles_deg)} angles; the numbers must be equal"
                 )
         return self
 
@@ -302,8 +303,8 @@ class PressSensitivities(Model):
         for slope in self.slopes:
             if len(slope.ln_force_per_ln_number) != len(self.depth_mm):
                 raise ValueError(
-                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, but the press has "
-                    f"{len(self.depth_mm)} increments"
+                    f"{slope.field} has {len(slope.ln_force_per_ln_number)} derivatives, but must have one for each "
+                    f"of the {len(self.depth_mm)} increments of the press"
                 )
         return self
 
@@ -527,8 +528,8 @@ class FingerSurfaces(Record):
             counts: Counts = getattr(self, f"{counted}_counts")
             if (counts < 0).any() or counts.sum() != len(rows):
                 raise ValueError(
-                    f"{counted}_counts must be at least 0 and add up to the {len(rows)} {counted} rows; they add up to "
-                    f"{counts.sum()}, so the record is damaged: compute the press again"
+                    f"{counted}_counts must not be negative and must add up to the {len(rows)} {counted} rows, but "
+                    f"add up to {counts.sum()}; the record is corrupted, so compute the press again"
                 )
         return self
 

@@ -350,9 +350,11 @@ class StudyVariation(Model):
     @model_validator(mode="after")
     def _values_or_range(self) -> "StudyVariation":
         if bool(self.values) == (self.low is not None or self.high is not None):
-            raise ValueError(f"vary {self.field}: give either values, or low and high (combine = 'random')")
+            raise ValueError(
+                f"vary {self.field}: give either values, or low and high (with combine = 'random'), but not both"
+            )
         if not self.values and (self.low is None or self.high is None or self.low >= self.high):
-            raise ValueError(f"vary {self.field}: low and high are both needed, low below high")
+            raise ValueError(f"vary {self.field}: low and high must both be given, and low must be below high")
         return self
 
 
@@ -406,15 +408,15 @@ class DesignStudy(Record):
         fields = [variation.field for variation in self.vary]
         twice = sorted({field for field in fields if fields.count(field) > 1 or field in self.set})
         if twice:
-            raise ValueError(f"{twice[0]} is given twice; vary it or set it, once")
+            raise ValueError(f"{twice[0]} is given more than once; give it once, either in a vary table or in set")
         if (self.combine == "random") != (self.count is not None):
-            raise ValueError('count belongs to combine = "random" only')
+            raise ValueError('count must be given with combine = "random", and only then')
         ranged = [variation.field for variation in self.vary if not variation.values]
         listed = [variation.field for variation in self.vary if variation.values]
         if self.combine == "random" and listed:
             raise ValueError(f'vary {listed[0]}: combine = "random" needs low and high, not values')
         if self.combine != "random" and ranged:
-            raise ValueError(f'vary {ranged[0]}: low and high need combine = "random"; give values')
+            raise ValueError(f'vary {ranged[0]}: low and high are supported only with combine = "random"; give values')
         if self.combine == "together" and len({len(variation.values) for variation in self.vary}) > 1:
             raise ValueError('combine = "together": all lists of values must have the same length')
         self._require_different_points()
@@ -426,12 +428,14 @@ class DesignStudy(Record):
             points = list(zip(*(variation.values for variation in self.vary), strict=True))
             repeated = [point for point in points if points.count(point) > 1]
             if repeated:
-                raise ValueError(f"vary: {list(repeated[0])} is listed twice, value by value; list each point once")
+                raise ValueError(f"vary: the point {list(repeated[0])} is listed twice; list each point only once")
             return
         for variation in self.vary:
             twice = [value for value in variation.values if variation.values.count(value) > 1]
             if twice:
-                raise ValueError(f"vary {variation.field}: {twice[0]!r} is listed twice in its values; list each once")
+                raise ValueError(
+                    f"vary {variation.field}: {twice[0]!r} is listed twice in its values; list each value only once"
+                )
 
 
 class StudyMetric(Model):
@@ -538,11 +542,14 @@ class DatasetPlan(Model):
         for name in ("radius_mm", "depth_mm"):
             low, high = getattr(self, name)
             if low > high:
-                raise ValueError(f"{name}: the range runs from {low:g} to {high:g} mm; give the smaller one first")
+                raise ValueError(
+                    f"{name}: the range must not run downwards, from {low:g} to {high:g} mm; give the "
+                    "smaller number first"
+                )
         if self.depth_mm[0] < LEAST_DEPTH_MM:
             raise ValueError(
                 f"depth_mm: the range begins at {self.depth_mm[0]:g} mm, less than the {LEAST_DEPTH_MM:g} mm that the "
-                "finest mesh resolves; are these numbers in metres? Give them in mm"
+                "finest mesh resolves; check that the depths are in mm, not in metres"
             )
         return self
 

@@ -76,14 +76,14 @@ class ArraySpec:
             value = _nan_for_none(value, truths=np.dtype(self.dtype).kind == "b")
         array = np.asarray(value)
         if array.dtype.kind == "b" and np.dtype(self.dtype).kind != "b":
-            raise ValueError("must be numbers, got truth values")
+            raise ValueError("must be numbers, got true or false values")
         if array.dtype.kind not in "fuib":
             raise ValueError(f"must be numbers, got {array.dtype}")
         target = np.dtype(self.dtype)
         if array.dtype != target:
             converted = array.astype(target)
             if target.kind in "uib" and not np.array_equal(converted, array):
-                raise ValueError(f"values do not fit into {target}")
+                raise ValueError(f"contains values that {target} cannot represent")
             array = converted
         if array.ndim != len(self.dims):
             raise ValueError(f"must have {len(self.dims)} dimensions ({', '.join(self.dims)}), got {array.ndim}")
@@ -147,7 +147,8 @@ def check_dimensions(record: BaseModel, lists: Mapping[str, str]) -> None:
         length, owner = seen.setdefault(name, (size, field))
         if length != size:
             raise ValueError(
-                f"'{field}' has {size} {'entry' if size == 1 else 'entries'} along '{name}', but '{owner}' has {length}"
+                f"'{field}' has {size} {('entry' if size == 1 else 'entries')} along '{name}', but '{owner}' has "
+                f"{length}; the numbers must be equal"
             )
 
 

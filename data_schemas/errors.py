@@ -160,7 +160,7 @@ def why_failed(error: FinrayError) -> str:
     A wrong field is said to be one of a record that finray made: files are read without that error, so that the fault
     is more likely in the program than in what was asked.
     """
-    return f"finray made a record that is not allowed: {error}" if isinstance(error, FieldError) else str(error)
+    return f"finray made an invalid record: {error}" if isinstance(error, FieldError) else str(error)
 
 
 @contextmanager

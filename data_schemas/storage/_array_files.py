@@ -139,14 +139,14 @@ def read_npy(path: Path, what: str = "an npy file", error: type[FinrayError] = R
     try:
         shape, fortran, dtype = _header(file)
         if dtype.kind not in "fiub":
-            raise ValueError(f"holds {dtype}, not real numbers")
+            raise ValueError(f"contains {dtype}, not real numbers")
         if len(content) - file.tell() != math.prod(shape) * dtype.itemsize:
-            raise ValueError(f"does not hold the number of bytes that {dtype} of shape {shape} needs")
+            raise ValueError(f"does not have the number of bytes that {dtype} of shape {shape} needs")
         return _shaped(content[file.tell() :], shape, fortran, dtype)
     except Exception as fault:  # of a damaged header numpy raises nearly anything
         raise error(
-            f"{path}: not a plain numeric .npy file ({fault}); pickled files are refused, since loading one can run "
-            "code: save it again with numpy.save from a numeric array"
+            f"{path}: is not a plain numeric .npy file ({fault}). Pickled files are not supported, because loading "
+            "one can run code; save a numeric array with numpy.save"
         ) from None
 
 
@@ -155,7 +155,7 @@ def _declared(archive: zipfile.ZipFile, name: str, wanted: DeclaredArray) -> NDA
     try:
         entry = archive.getinfo(f"{name}.npy")
     except KeyError:
-        raise ValueError(f"array {name!r} is missing in it") from None
+        raise ValueError(f"array {name!r} is missing") from None
     if entry.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"array {name!r} is compressed, but arrays of records must not be compressed")
     return _member(archive, entry, entry.compress_size, wanted)
@@ -167,21 +167,22 @@ def _member(
     """Read one array of an archive after its header was checked."""
     name = entry.filename.removesuffix(".npy")
     if entry.compress_type not in _COMPRESSIONS or entry.flag_bits & _ENCRYPTED:
-        raise ValueError(f"array {name!r} is encrypted, or compressed in a way that numpy does not use")
+        raise ValueError(f"array {name!r} is encrypted, or its compression is not supported")
     with archive.open(entry) as opened:
         file: Any = opened
         shape, fortran, dtype = _header(file)
         if wanted is not None and (shape, dtype.str) != (wanted.shape, wanted.dtype):
             raise ValueError(
-                f"array {name!r} is {dtype.str} of shape {shape}; the record declares {wanted.dtype} of {wanted.shape}"
+                f"array {name!r} is {dtype.str} of shape {shape}, but the record declares {wanted.dtype} of shape "
+                f"{wanted.shape}"
             )
         if dtype.kind not in "fiub":
             return np.empty(0, dtype)
         size = math.prod(shape) * dtype.itemsize
         if size > room_bytes:
-            raise ValueError(f"array {name!r} has {size / MB:.4g} MB, more than the {room_bytes / MB:.4g} MB allowed")
+            raise ValueError(f"array {name!r} has {size / MB:.4g} MB, but at most {room_bytes / MB:.4g} MB are allowed")
         if entry.file_size != file.tell() + size:
-            raise ValueError(f"array {name!r} does not hold the number of bytes that {dtype} of shape {shape} needs")
+            raise ValueError(f"array {name!r} does not have the number of bytes that {dtype} of shape {shape} needs")
         return _shaped(file.read(size), shape, fortran, dtype)
 
 
@@ -196,23 +197,26 @@ def _header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     elif version == (2, 0):
         header = np.lib.format.read_array_header_2_0(file, max_header_size=_LONGEST_HEADER)
     else:
-        raise ValueError(f"npy format {version[0]}.{version[1]} cannot be read; save it in format 1.0 or 2.0")
+        raise ValueError(f"npy format {version[0]}.{version[1]} is not supported; save the array in format 1.0 or 2.0")
     shape, fortran, dtype = header
     if dtype.hasobject:
-        raise _PickledError("holds pickled objects, which are never loaded")
+        raise _PickledError("contains pickled objects, which are never loaded")
     if len(shape) > MOST_DIMENSIONS or any(length < 0 for length in shape):
-        raise ValueError(f"{shape} is not a valid shape; at most {MOST_DIMENSIONS} dimensions are allowed")
+        raise ValueError(
+            f"{shape} is not a valid shape; only lengths of at least 0 and at most {MOST_DIMENSIONS} "
+            "dimensions are allowed"
+        )
     return tuple(int(length) for length in shape), bool(fortran), dtype
 
 
 def _shaped(content: bytes, shape: tuple[int, ...], fortran: bool, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return the numbers of an array, read-only."""
     if len(content) != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"is cut off: it holds {len(content)} bytes for {dtype} of shape {shape}")
+        raise ValueError(f"is cut off, with {len(content)} bytes for {dtype} of shape {shape}")
     flat = np.frombuffer(content or bytearray(), dtype if dtype.kind != "b" else np.uint8)
     if dtype.kind == "b":
         if flat.max(initial=0) > 1:
-            raise ValueError("a truth value is neither 0 nor 1")
+            raise ValueError("a Boolean value is neither 0 nor 1")
         flat = flat.view(np.bool_)
     return flat.reshape(shape, order="F" if fortran else "C")
 
@@ -276,10 +280,10 @@ def parse_in_child(
                 f"{__name__}:parse_file", arguments, time_s=LONGEST_PARSING_S, memory_bytes=MOST_MEMORY_BYTES
             )
         except ProcessDiedError as death:
-            remedy = "the file is damaged, or malicious"
+            remedy = "the file is corrupted or malicious"
             if str(death).startswith("took longer"):
                 remedy = f"try again when the computer is less busy; if it takes as long again, cut it, or {remedy}"
-            raise error(f"{where}: cannot be read as {what}: its parser {death}; {remedy}") from None
+            raise error(f"{where}: cannot be read as {what}, because the parser {death}; {remedy}") from None
         declared = {key: DeclaredArray(tuple(shape), dtype) for key, (shape, dtype) in answer["arrays"].items()}
         if not declared:
             return answer["value"], {}
@@ -352,10 +356,12 @@ def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
         The frame is missing or its bytes differ from the recorded checksum.
     """
     if not path.exists():
-        raise ChecksumError(f"{path}: frame is missing; restore it from a copy or capture the session again")
+        raise ChecksumError(f"{path}: the frame is missing; restore it from a copy, or capture the session again")
     content = read_bytes(path, "a frame of the session", ChecksumError)
     if digest_as_read(path) != sha256:
-        raise ChecksumError(f"{path}: SHA-256 differs from the session's record; the frame was changed, restore it")
+        raise ChecksumError(
+            f"{path}: the frame was changed, because its SHA-256 differs from the session's record; restore the frame"
+        )
     return np.asarray(tiff_image(content, path, ChecksumError))
 
 
@@ -384,7 +390,7 @@ def tiff_image(content: bytes, where: object, error: type[FinrayError]) -> NDArr
             page: Any = file.pages[0]
             require_decoded_size(page)
             if len(file.pages) > 1 and file.pages[1].shape == page.shape:
-                raise ValueError(f"holds a stack of {len(file.pages)} images, but a single one is needed")
+                raise ValueError(f"contains a stack of {len(file.pages)} images, but a single image is needed")
             if page.compression == _UNCOMPRESSED:
                 return np.asarray(page.asarray())
     except Exception as fault:  # of a broken file the TIFF reader raises nearly anything
@@ -415,8 +421,8 @@ def require_decoded_size(page: Any) -> None:
     size = 0 if kind is None else math.prod(page.shape) * kind.itemsize
     if not 0 < size <= LARGEST_DECODED_BYTES:
         raise ValueError(
-            f"an image of shape {page.shape} takes {size / 2**20:.4g} MB when decoded; more than 0 and at "
-            f"most {LARGEST_DECODED_BYTES / 2**20:g} MB are allowed"
+            f"an image of shape {page.shape} takes {size / 2**20:.4g} MB when decoded, but only sizes above 0 and "
+            f"up to {LARGEST_DECODED_BYTES / 2**20:g} MB are supported"
         )
 
 

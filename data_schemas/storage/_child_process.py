@@ -371,9 +371,9 @@ def _error_of(answer: dict[str, Json]) -> Exception:
     if kind == "MemoryError":
         limit = answer["limit_bytes"]
         allowed = "" if limit is None else f" (its limit is {limit / 2**30:.2g} GiB more than it had at the start)"
-        return ProcessDiedError(f"ran out of memory{allowed}; it had taken {answer['peak_bytes'] / 2**30:.2f} GiB")
+        return ProcessDiedError(f"ran out of memory{allowed} after it had taken {answer['peak_bytes'] / 2**30:.2f} GiB")
     if kind == "fault":
-        return ProcessDiedError(f"failed by a fault of finray itself ({answer['text']})")
+        return ProcessDiedError(f"failed because of a fault in finray itself ({answer['text']})")
     error: FinrayError = getattr(errors, kind)(answer["text"])
     return error
 
@@ -381,7 +381,7 @@ def _error_of(answer: dict[str, Json]) -> Exception:
 def _cause(status: int, killed_for_memory: bool) -> str:
     """Return in plain words how a process of this exit status (negative: a signal) ended."""
     if status >= 0:
-        return f"ended by itself with status {status} before it was done"
+        return f"exited with status {status} before it had finished"
     try:
         number = signal.Signals(-status)
     except ValueError:
@@ -391,7 +391,7 @@ def _cause(status: int, killed_for_memory: bool) -> str:
         return f"was ended by {number.name}" + (f" ({plain})" if plain else "")
     if killed_for_memory:
         return "was killed (SIGKILL) by the system for lack of memory"
-    return "was killed (SIGKILL): by a person, or by the system for lack of memory"
+    return "was killed (SIGKILL) by a person, or by the system for lack of memory"
 
 
 def _kills_for_want_of_memory() -> int:

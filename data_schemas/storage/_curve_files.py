@@ -45,14 +45,16 @@ def read_table(path: Path) -> tuple[list[str], Floats]:
     """
     header, rows = read_csv(path, "a CSV file", CurveError, comments=True)
     if len(rows) < 2:
-        raise CurveError(f"{path}: needs a header row and at least two rows of numbers")
+        raise CurveError(f"{path}: must have a header row and at least two rows of numbers")
     return header, np.array([_row(path, n, cells, len(header)) for n, cells in rows])
 
 
 def _row(path: Path, number: int, cells: list[str], columns: int) -> list[float]:
     """Parse one row of finite numbers."""
     if len(cells) != columns:
-        raise CurveError(f"{path}, line {number}: has {len(cells)} columns, but the header has {columns}")
+        raise CurveError(
+            f"{path}, line {number}: has {len(cells)} columns, but the header has {columns}; correct the row"
+        )
     try:
         return [finite_number(cell) for cell in cells]
     except ValueError as error:
@@ -64,19 +66,22 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
     header, table = read_table(path)
     if header != CAMERA_COLUMNS:
         raise CurveError(
-            f"{path}: header is {','.join(header)[:80]}; a camera response needs {','.join(CAMERA_COLUMNS)}"
+            f"{path}: the header is {','.join(header)[:80]}, but a camera response needs {','.join(CAMERA_COLUMNS)}"
         )
     if (table[:, 1:] < 0).any():
-        raise CurveError(f"{path}: a camera response must not be negative (percent of full scale, 0 or more)")
+        raise CurveError(
+            f"{path}: a camera response is negative, but must be at least 0 (per cent of full scale); correct the row"
+        )
     if table[:, 1:].max() > LARGEST_RESPONSE_PERCENT:
         raise CurveError(
-            f"{path}: a camera response of {table[:, 1:].max():.4g} per cent; at most {LARGEST_RESPONSE_PERCENT:g} is "
-            "allowed: correct the row, or scale the columns together"
+            f"{path}: the largest camera response is {table[:, 1:].max():.4g} per cent, but at most "
+            f"{LARGEST_RESPONSE_PERCENT:g} per cent is allowed; correct the row, or scale all columns by the same "
+            "factor"
         )
     if empty := [name for name, column in zip(CAMERA_COLUMNS[1:], table[:, 1:].T, strict=True) if not column.any()]:
         raise CurveError(
-            f"{path}: column '{empty[0]}' is 0 in all rows; a colour camera needs a response in each channel: correct "
-            "the column"
+            f"{path}: column '{empty[0]}' is 0 in all rows, but a colour camera needs a response in each channel; "
+            "correct the column"
         )
     peaks = table[:, 1:].max(axis=0)
     if (
@@ -85,8 +90,9 @@ def read_camera_response(path: Path) -> tuple[SpectralCurve, SpectralCurve, Spec
     ):
         told = ", ".join(f"{name} {peak:g} %" for name, peak in zip(CHANNELS, peaks, strict=True))
         raise CurveError(
-            f"{path}: the channels peak at {told}; one is more than {LARGEST_CHANNEL_RATIO:g} times larger or smaller "
-            "than the others, which no colour camera has: give all three in per cent of the same full scale"
+            f"{path}: the channels peak at {told}, but no colour camera has one channel that is more than "
+            f"{LARGEST_CHANNEL_RATIO:g} times larger or smaller than the others; give all three in per cent of the "
+            "same full scale"
         )
     red, green, blue = (_curve(path, name, table[:, 0], table[:, i + 1] / 100) for i, name in enumerate(CHANNELS))
     return red, green, blue
@@ -102,12 +108,14 @@ def read_filter_curve(path: Path) -> SpectralCurve:
     """
     header, table = read_table(path)
     if header != FILTER_COLUMNS:
-        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a filter needs {','.join(FILTER_COLUMNS)}")
+        raise CurveError(
+            f"{path}: the header is {','.join(header)[:80]}, but a filter needs {','.join(FILTER_COLUMNS)}"
+        )
     transmission = table[:, 1]
     if transmission.min() < 0 or not 0 < transmission.max() <= 1:
         raise CurveError(
-            f"{path}: transmission runs from {transmission.min():g} to {transmission.max():g}; 0 to 1 is allowed, with "
-            "something above 0: divide by 100 if it is in per cent"
+            f"{path}: the transmission runs from {transmission.min():g} to {transmission.max():g}, but must be 0 to 1 "
+            "with at least one value above 0; divide by 100 if it is in per cent"
         )
     return _curve(path, path.stem, table[:, 0], transmission)
 
@@ -150,11 +158,14 @@ def read_donaldson_matrix(path: Path) -> DonaldsonMatrix:
     """
     header, table = read_table(path)
     if header[0] != "emission_nm":
-        raise CurveError(f"{path}: the first column is '{header[0]}'; a re-radiation matrix needs 'emission_nm'")
+        raise CurveError(f"{path}: the first column is '{header[0]}', but a re-radiation matrix needs 'emission_nm'")
     try:
         excitation = np.array([finite_number(name) for name in header[1:]])
     except ValueError:
-        raise CurveError(f"{path}: the header must hold excitation wavelengths in nm after 'emission_nm'") from None
+        raise CurveError(
+            f"{path}: the header must contain only excitation wavelengths in nm after 'emission_nm', but "
+            "one entry is not a number"
+        ) from None
     emission, values = table[:, 0], table[:, 1:]
     try:
         for axis, name in ((emission, "emission"), (excitation, "excitation")):
@@ -189,9 +200,8 @@ def _require_reflectance(path: Path, emission_nm: Floats, values: Floats) -> Non
         return
     at_nm = float(emission_nm[np.unravel_index(int(values.argmax()), values.shape)[0]])
     raise CurveError(
-        f"{path}: the reflectance is {largest:.4g} at {at_nm:g} nm; {LARGEST_REFLECTANCE:g} is the most "
-        f"allowed: divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if this is "
-        f"intended"
+        f"{path}: the reflectance is {largest:.4g} at {at_nm:g} nm, but at most {LARGEST_REFLECTANCE:g} is allowed; "
+        f"divide by 100 if the matrix is in per cent, or add the line '{ALLOW_REFLECTANCE}' if this is intended"
     )
 
 
@@ -204,9 +214,10 @@ def _require_energy(path: Path, excitation_nm: Floats, emitted: Floats, emission
     worst = int(out.argmax())
     if out[worst] > LARGEST_ENERGY_OUT:
         raise CurveError(
-            f"{path}: at {excitation_nm[worst]:g} nm it returns {out[worst]:.3g} times the light that it receives "
-            f"({emitted.sum(axis=0)[worst]:.3g} by fluorescence); at most {LARGEST_ENERGY_OUT:g} is allowed, which "
-            f"leaves a fifth for noise: entries are fractions per emission band; divide by 100 if they are in per cent"
+            f"{path}: at {excitation_nm[worst]:g} nm the matrix returns {out[worst]:.3g} times the light that it "
+            f"receives ({emitted.sum(axis=0)[worst]:.3g} by fluorescence), but at most {LARGEST_ENERGY_OUT:g} is "
+            "allowed, which leaves a fifth for noise. Entries must be fractions per emission band; divide by 100 if "
+            "they are in per cent"
         )
 
 
@@ -215,9 +226,9 @@ def _even_step_nm(path: Path, emission_nm: Floats) -> float:
     steps_nm = np.diff(emission_nm)
     if np.ptp(steps_nm) > STEP_TOLERANCE_NM:
         raise CurveError(
-            f"{path}: emission_nm steps range from {steps_nm.min():g} to {steps_nm.max():g} nm; entries are per "
-            f"emission band, so that the steps must be equal (within {STEP_TOLERANCE_NM:g} nm): give the matrix on "
-            "evenly spaced emission wavelengths"
+            f"{path}: emission_nm steps range from {steps_nm.min():g} to {steps_nm.max():g} nm, but must be equal "
+            f"(within {STEP_TOLERANCE_NM:g} nm), because entries are per emission band; give the matrix on evenly "
+            "spaced emission wavelengths"
         )
     return float(np.median(steps_nm))
 
@@ -287,10 +298,12 @@ def read_light(path: Path) -> SpectralCurve:
     """
     header, table = read_table(path)
     if header != LIGHT_COLUMNS:
-        raise CurveError(f"{path}: header is {','.join(header)[:80]}; a light needs {','.join(LIGHT_COLUMNS)}")
+        raise CurveError(f"{path}: the header is {','.join(header)[:80]}, but a light needs {','.join(LIGHT_COLUMNS)}")
     power = table[:, 1]
     if (power < 0).any() or not power.any():
-        raise CurveError(f"{path}: power_rel must be 0 or more and somewhere above 0; correct or remove the rows")
+        raise CurveError(
+            f"{path}: power_rel must be at least 0 in every row and above 0 in one or more; correct or remove rows"
+        )
     try:
         return SpectralCurve(name=path.stem, wavelength_nm=table[:, 0], values=power, source=path.name)
     except FieldError as error:

@@ -125,7 +125,9 @@ def open_regular(path: Path, what: str = "a regular file", error: type[FinrayErr
         kind = _kind_at(path)
         if kind is not None:
             raise error(f"{path}: is {kind}; give the path of {what}") from None
-        reason = fault.strerror if isinstance(fault, OSError) else "a null byte in it" if "\0" in str(path) else fault
+        reason = (
+            fault.strerror if isinstance(fault, OSError) else "it contains a null byte" if "\0" in str(path) else fault
+        )
         raise error(f"{str(path)!r}: cannot be read ({reason}); check the path and its permissions") from None
     kind = _kind_of(os.fstat(handle).st_mode)
     if kind is not None:
@@ -172,9 +174,9 @@ def read_bytes(
             while size < len(content) <= largest_bytes and (more := file.read(MB)):
                 content += more
     except OSError as fault:
-        raise error(f"{path}: cannot be read ({fault.strerror}); check the file and its medium") from None
+        raise error(f"{path}: cannot be read ({fault.strerror}); check the file and the disk that it is on") from None
     except MemoryError:
-        raise error(f"{path}: has {size / MB:.4g} MB, more than the free memory; end other programs") from None
+        raise error(f"{path}: has {size / MB:.4g} MB, more than the free memory; close other programs") from None
     if max(size, len(content)) > largest_bytes:
         raise error(_too_long(path, what, largest_bytes))
     _AS_READ.remember(path, hashlib.sha256(content).hexdigest())
@@ -184,8 +186,8 @@ def read_bytes(
 def _too_long(path: Path, what: str, largest_bytes: int) -> str:
     """Return that a file is too long."""
     return (
-        f"{path}: is longer than {largest_bytes} bytes ({largest_bytes / MB:.3g} MB), the most that is read as "
-        f"{what.removeprefix('the path of ')}; give the right file"
+        f"{path}: is too long; at most {largest_bytes} bytes ({largest_bytes / MB:.3g} MB) are read as "
+        f"{what.removeprefix('the path of ')}. Give the right file"
     )
 
 
@@ -391,9 +393,9 @@ def parse_json(
         is_json = content.lstrip()[:1] in (b"{", b"[")
         give = f"; give the path of {what}" if what else ""
         mend = (
-            "it was edited or cut off: restore it, or make it again"
+            "the file was edited or cut off, so restore it, or make it again"
             if is_json
-            else f"it {'does not begin with { or [' if content.strip() else 'is empty'}{give}"
+            else f"the file {'does not begin with { or [' if content.strip() else 'is empty'}{give}"
         )
         raise error(f"{where}: cannot be read as JSON ({fault}); {mend}") from None
     return parsed
@@ -442,14 +444,14 @@ def _toml_remedy(content: bytes, fault: str) -> str:
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        return "save it as UTF-8 text, in Windows by 'Save as' and its encoding"
+        return "save it as UTF-8 text (in Windows, choose the encoding under 'Save as')"
     if content.lstrip()[:1] == b"{":
-        return "it looks like a JSON file: a TOML file is needed here"
+        return "it looks like a JSON file, but a TOML file is needed"
     number = re.search(r"line (\d+)", fault)
     line = lines[int(number[1]) - 1] if number and int(number[1]) <= len(lines) else ""
     hint = next((hint for mistake, hint in _TOML_MISTAKES if re.search(mistake, line)), "")
     shown = f"correct the line {line.strip()[:60]!r}" if line.strip() else "correct the file"
-    return f"{shown}: {hint}" if hint else shown
+    return f"{shown} ({hint})" if hint else shown
 
 
 def read_csv(
@@ -501,18 +503,18 @@ def read_csv(
             cells_in_all += len(cells)
             if len(cells) > MOST_COLUMNS or cells_in_all > MOST_VALUES:
                 raise error(
-                    f"{path}, line {reader.line_num}: more than {MOST_COLUMNS} columns or {MOST_VALUES} cells in all; "
-                    f"give {what}"
+                    f"{path}, line {reader.line_num}: the table is too large, because at most {MOST_COLUMNS} columns "
+                    f"and {MOST_VALUES} cells in all are supported; give {what}"
                 )
             if any(cell.strip() for cell in cells):
                 rows.append((reader.line_num, cells))
     except csv.Error as fault:
         raise error(
-            f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove its quotes"
+            f"{path}, line {reader.line_num}: cannot be read as CSV ({fault}); close or remove the quotation marks"
         ) from None
     header = [name.strip() for name in rows[0][1]] if rows else []
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
-        raise error(f"{path}: semicolons or tabs separate its columns; export it with commas, and decimal points")
+        raise error(f"{path}: columns must be separated by commas, not semicolons or tabs; write decimals with a point")
     long = next(((line, cells) for line, cells in rows[1:] if any(c.strip() for c in cells[len(header) :])), None)
     if long is not None:
         raise error(
@@ -613,7 +615,7 @@ def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:80]!r} occurs twice in one object; keep one")
+        raise ValueError(f"the key {twice[:80]!r} occurs twice in one object; keep only one")
     return found
 
 
@@ -652,7 +654,7 @@ def _texts(value: Any) -> Iterator[str]:
 def _refuse_half_characters(parsed: Any) -> None:
     """Refuse one half of a surrogate pair, which no file and no screen can show."""
     if any(_SURROGATE.search(text) for text in _texts(parsed)):
-        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff); write it anew")
+        raise ValueError("a text holds an incomplete character (a lone \\ud800 to \\udfff); type the text again")
 
 
 def _refuse_odd_numbers(value: Any) -> None:

@@ -117,8 +117,8 @@ def refuse_unfinished(path: Path) -> None:
     set_file = _unfinished_set_of(path)
     if set_file is not None:
         raise RecordError(
-            f"{path}: belongs to products that were not stored completely; wait for the command that writes them, or "
-            "run it again if it was interrupted"
+            f"{path}: belongs to products that were not completely stored; wait for the command that writes them, or "
+            "run that command again if it was interrupted"
         )
 
 
@@ -348,7 +348,9 @@ class ProductSet:
         """
         sha256 = hashlib.sha256(content).hexdigest()
         if any(added.path == path for added in self._added):
-            raise RecordError(f"{path}: two products of one command would have this name; give each its own")
+            raise RecordError(
+                f"{path}: two products of one command would have this name; give each product a different name"
+            )
         if path.exists() or path.is_symlink():
             if same_serves and path.is_file() and sha256_of(path) == sha256:
                 return path
@@ -406,9 +408,9 @@ class ProductSet:
                     handle = os.open(set_file, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
             except FileExistsError:
                 raise RecordError(
-                    f"{path}: another process is writing it now; wait until it ends. If there is none, delete "
-                    f"{set_file}, which a process that has ended left behind: without file locks, finray "
-                    "cannot distinguish such a file from work in progress"
+                    f"{path}: another process seems to be writing this file; wait until it ends. If there is no such "
+                    f"process, delete {set_file}, which an interrupted process left behind (without file locks, "
+                    "finray cannot distinguish such a file from work in progress)"
                 ) from None
             if is_ours(handle):
                 break
@@ -601,8 +603,8 @@ def read_manifest(folder: Path) -> dict[str, str]:
         name = "" if match is None else match[2]
         if match is None or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or name in listed:
             raise RecordError(
-                f"{path}, line {number}: must hold a SHA-256, two spaces and the path of a file in the "
-                f"folder, each file once"
+                f"{path}, line {number}: must contain a SHA-256, two spaces and the path of a file in the folder, "
+                "each file only once"
             )
         listed[name] = match[1]
     return listed

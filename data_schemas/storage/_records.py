@@ -148,9 +148,9 @@ def read_record(path: Path, record_type: type[R]) -> R:
     kind = envelope.get("kind")
     if kind != record_type.__name__:
         why = f" (written by {record_type.written_by})" if record_type.written_by != Record.written_by else ""
-        why = f": {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else why
+        why = f"; {record_type.other_kinds[str(kind)]}" if str(kind) in record_type.other_kinds else why
         found = kind_in_words(str(kind)) if kind else "no record of a known kind"
-        raise RecordError(f"{path}: holds {found}, where {needed_kind(record_type.__name__)}{why}")
+        raise RecordError(f"{path}: contains {found}, but {needed_kind(record_type.__name__)}{why}")
     version = _required_version(path, envelope.get("schema_version"))
     refuse_newer(path, version, record_type)
     _check_seal(path, envelope, record_type)
@@ -167,7 +167,7 @@ def read_record(path: Path, record_type: type[R]) -> R:
 def _required_version(path: Path, version: Any) -> int:
     """Return the number of a version, or refuse what is none."""
     if type(version) is not int or version < 1:
-        raise RecordError(f"{path}: schema_version is {version!r}; it must be a whole number from 1")
+        raise RecordError(f"{path}: schema_version must be a whole number from 1, got {version!r}")
     return version
 
 
@@ -177,9 +177,9 @@ def _check_seal(path: Path, envelope: dict[str, Any], record_type: type[Record])
     if seal is None and not is_sealed(kind, envelope["schema_version"]):
         return
     if seal != content_sha256(envelope):
-        what = "carries no seal" if seal is None else "does not agree with its seal"
+        what = "has no seal" if seal is None else "does not match its seal"
         raise ChecksumError(
-            f"{path}: {what} (content_sha256): it was changed after it was written; restore the file, or run "
+            f"{path}: {what} (content_sha256), so it was changed after it was written; restore the file, or run "
             f"{record_type.written_by} again"
         )
 
@@ -191,8 +191,9 @@ def _older_hint(envelope: dict[str, Any], version: int) -> str:
     origin = envelope["record"].get("provenance")
     commit = origin.get("git_commit") if isinstance(origin, dict) else None
     return (
-        f". Earlier programs stored several schemas as version {version}; this file was written by "
-        f"{f'commit {commit}' if commit else 'an unknown commit'}: read it with that one, or make the record again"
+        f". Earlier versions of finray stored different schemas as version {version}; this file was written by "
+        f"{(f'commit {commit}' if commit else 'an unknown commit')}. Read it with that commit, or make the record "
+        "again"
     )
 
 
@@ -201,7 +202,7 @@ def _load_json(path: Path) -> dict[str, Any]:
     loaded = read_json(path, A_RECORD)
     if not isinstance(loaded, dict):
         raise RecordError(
-            f"{path}: is not a stored record (a JSON object with 'kind' and 'record'); give one that finray wrote"
+            f"{path}: is not a stored record (a JSON object with 'kind' and 'record'); give a record that finray wrote"
         )
     return loaded
 
@@ -220,7 +221,9 @@ def _declared_arrays(path: Path, value: Any) -> dict[str, DeclaredArray]:
         name, shape, dtype = value["array"], value["shape"], value["dtype"]
         whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
         if not (isinstance(name, str) and whole and isinstance(dtype, str)):
-            raise RecordError(f"{path}: {str(value)[:80]} must name an array, its shape and its type")
+            raise RecordError(
+                f"{path}: the array reference {str(value)[:80]} must give the name, the shape and the type of an array"
+            )
         found[name] = DeclaredArray(tuple(shape), dtype)
     return found
 
@@ -232,15 +235,19 @@ def _load_arrays(path: Path, array_file: Any, declared: dict[str, DeclaredArray]
     try:
         name, digest = str(array_file["file"]), str(array_file["sha256"])
     except (TypeError, KeyError):
-        raise RecordError(f"{path}: array_file must hold 'file' and 'sha256'") from None
+        raise RecordError(f"{path}: array_file must contain 'file' and 'sha256'") from None
     if not name or name == ".." or Path(name).name != name:
-        raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name beside the record")
+        raise RecordError(f"{path}: array_file.file = {name!r} must be a plain file name in the folder of the record")
     source = path.with_name(name)
     if not has_file(source):
-        raise ChecksumError(f"{source}: is missing; it holds the arrays of {path.name}: keep the two files together")
+        raise ChecksumError(
+            f"{source}: is missing, but it contains the arrays of {path.name}; keep the two files together"
+        )
     content = read_bytes(source, f"the arrays of {path.name}", RecordError, LARGEST_ARRAY_FILE_BYTES)
     if digest_as_read(source) != digest:
-        raise ChecksumError(f"{source}: its SHA-256 differs from the one in {path.name}; the file was changed")
+        raise ChecksumError(
+            f"{source}: was changed, because its SHA-256 differs from the SHA-256 in {path.name}; restore the file"
+        )
     return read_declared_arrays(content, declared, source)
 
 
@@ -250,8 +257,8 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
         if _is_reference(value):
             if value["array"] not in arrays:
                 raise RecordError(
-                    f"{path}: refers to the array {value['array']!r}, but its entry array_file is missing; the record "
-                    "was edited: use the original, or make it again"
+                    f"{path}: the record refers to the array {value['array']!r}, but array_file is missing, so the "
+                    "record was edited; use the original, or make the record again"
                 )
             return arrays[value["array"]]
         return {key: _with_arrays(path, v, arrays) for key, v in value.items()}
@@ -299,7 +306,9 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     lacks = any(field.is_required() and name not in loaded for name, field in record_type.model_fields.items())
     if lacks or 2 * len(unknown) > len(loaded):
         if found := [words for key, words in _KEYS_OF_KINDS.items() if key in unknown]:
-            raise RecordError(f"{path}: holds {found[0]}, where {needed_kind(record_type.__name__)}; give that file")
+            raise RecordError(
+                f"{path}: contains {found[0]}, but {needed_kind(record_type.__name__)}; give the path of the right file"
+            )
         version = min(version, record_type.schema_version)  # a file of another kind: what it lacks tells more
     try:
         read = record_type.model_validate(complete(migrate(path, record_type, version, loaded)))
@@ -307,7 +316,7 @@ def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
         raise RecordError(f"{path}: {explain(error, record_type)}") from None
     for field, why in read.unused_fields().items():
         if _is_written(loaded, field):
-            raise RecordError(f"{path}: {field} has no effect: {why}")
+            raise RecordError(f"{path}: {field} has no effect, because {why}")
     return read
 
 
@@ -388,7 +397,9 @@ def _with_limits_that_can_be_kept(body: Body) -> Body:
         most = 1.0 if name.endswith("_rel") else 65535.0
         if (kept := min(max(limit, LEAST_LIMIT), most)) != limit:
             limits[name] = kept
-            told.append(f"the limit {name} was {limit:g} in this report, and is read as {kept:g}")
+            told.append(
+                f"the limit {name} was {limit:g} in this report, but is read as {kept:g}, the nearest allowed value"
+            )
     plan = {**body["plan"], "limits": limits} if told else body["plan"]
     return {**body, "plan": plan, "notes": [*body.get("notes", []), *told]}
 
@@ -410,7 +421,7 @@ A version without a step differs from the next by new fields alone, each with a 
 held before: its content is read as it is. The tests read a file of every version (``tests/schemas/frozen``)."""
 
 NOT_MIGRATED: Final[dict[tuple[str, int], str]] = {
-    ("PaintCalibration", 1): "it holds draws of another model of the paint, without the discrepancy",
+    ("PaintCalibration", 1): "it contains draws of another model of the paint, without the discrepancy",
 }
 """(kind, version) -> why the next version cannot be made from it."""
 
@@ -425,8 +436,8 @@ def refuse_newer(path: Path, version: int, record_type: type[Record]) -> None:
     """
     if version > record_type.schema_version:
         raise NewerSchemaError(
-            f"{path}: schema_version {version} was written by a newer finray; this one reads up to "
-            f"{record_type.schema_version}: update with 'pip install -U finray-calib'"
+            f"{path}: schema_version {version} was written by a newer finray, but this one reads only up to "
+            f"{record_type.schema_version}; update with 'pip install -U finray-calib'"
         )
 
 
@@ -445,8 +456,8 @@ def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> 
     for step in range(version, today):
         if (kind, step) in NOT_MIGRATED:
             raise RecordError(
-                f"{path}: was written by version {version} of the {kind} record, which differs from the "
-                f"present version {today} ({NOT_MIGRATED[kind, step]}); run {record_type.written_by} again"
+                f"{path}: was written by version {version} of the {kind} record, but only version {today} is "
+                f"supported ({NOT_MIGRATED[kind, step]}); run {record_type.written_by} again"
             )
         if (kind, step) not in MIGRATIONS:
             continue
@@ -454,8 +465,8 @@ def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> 
             body = MIGRATIONS[kind, step](body)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as fault:
             raise RecordError(
-                f"{path}: cannot be read as version {step} of the {kind} record ({type(fault).__name__}: {fault}); "
-                f"was it edited? Run {record_type.written_by} again"
+                f"{path}: cannot be read as version {step} of the {kind} record ({type(fault).__name__}: {fault}), "
+                f"perhaps because it was edited; run {record_type.written_by} again"
             ) from None
     return body
 

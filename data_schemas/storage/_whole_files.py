@@ -42,9 +42,7 @@ def given_path(what: object, argument: str) -> Path:
         It is no path, an empty one, or there is no home.
     """
     if not isinstance(what, str | os.PathLike) or isinstance(path := os.fspath(what), bytes):
-        raise RecordError(
-            f"{argument}: the path of a file or folder is needed; what was given is of type {type(what).__name__}"
-        )
+        raise RecordError(f"{argument}: must be the path of a file or folder, got type {type(what).__name__}")
     if not path:
         raise RecordError(f"{argument}: the path is empty; give the name of a file or folder")
     if Path(path).parts[:1] != ("~",):
@@ -52,7 +50,7 @@ def given_path(what: object, argument: str) -> Path:
     try:
         return Path(path).expanduser()
     except RuntimeError:
-        raise RecordError(f"{path}: the home folder, ~, is not known here; write the whole path") from None
+        raise RecordError(f"{path}: the home folder (~) is unknown; write the whole path") from None
 
 
 @contextmanager
@@ -67,7 +65,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:
-        raise RecordError(f"{str(path)!r}: cannot be written: {system_words(error)}; choose another place") from None
+        raise RecordError(f"{str(path)!r}: cannot be written ({system_words(error)}); choose another place") from None
 
 
 def sha256_of(path: Path) -> str:

@@ -98,9 +98,9 @@ class ZipArchive:
             with self._reading, self._file.being(file), self._archive.open(entry) as opened:
                 content = opened.read(entry.file_size + 1)
         except _DAMAGED as fault:
-            raise ValueError(f"is damaged in its archive ({brief_fault(fault)})") from None
+            raise ValueError(f"is corrupted in the archive ({brief_fault(fault)})") from None
         if len(content) != entry.file_size:
-            raise ValueError(f"is cut off in its archive: {len(content)} of {entry.file_size} bytes")
+            raise ValueError(f"is cut off in the archive, at {len(content)} of {entry.file_size} bytes")
         return content
 
 
@@ -128,7 +128,7 @@ class _ShortReads:
     def read(self, count: int | None = -1) -> bytes:
         wanted = count if count is not None and count >= 0 else self._left()
         if wanted > self._most_bytes:
-            raise ValueError(f"its list of files takes {wanted} bytes, but at most {self._most_bytes} are read")
+            raise ValueError(f"has a list of files of {wanted} bytes, but at most {self._most_bytes} are read")
         return self._file.read(wanted)
 
     def _left(self) -> int:
@@ -140,17 +140,19 @@ class _ShortReads:
 def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.ZipInfo]]:
     """Yield name and entry of the files; an archive with one that is not accepted is refused."""
     if len(entries) > MOST_MEMBERS:
-        raise ValueError(f"holds {len(entries)} files, but at most {MOST_MEMBERS} are read; give an archive with fewer")
+        raise ValueError(
+            f"contains {len(entries)} files, but at most {MOST_MEMBERS} are read; give an archive with fewer"
+        )
     total = sum(entry.file_size for entry in entries)
     if total > LARGEST_UNPACKED_BYTES:
         raise ValueError(
-            f"holds {total / 2**30:.3g} GB when unpacked, but at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB "
-            "are read; unpack it and give the folder"
+            f"has {total / 2**30:.3g} GB when unpacked, but at most {LARGEST_UNPACKED_BYTES / 2**30:g} GB are "
+            "read; unpack it and give the folder"
         )
     seen: set[str] = set()
     for entry in entries:
         name = entry.filename.rstrip("/")
-        why = _refused(entry, name) or ("is in it twice" if name in seen else None)
+        why = _refused(entry, name) or ("is in the archive twice" if name in seen else None)
         if why is not None:
             raise ValueError(f"{entry.orig_filename[:80]!r} {why}; create the archive again from plain files")
         seen.add(name)
@@ -159,7 +161,7 @@ def _accepted(entries: list[zipfile.ZipInfo]) -> Iterator[tuple[str, zipfile.Zip
     files = {entry.filename for entry in entries if not entry.is_dir()}
     inside = {str(above) for name in seen for above in PurePosixPath(name).parents}
     if both := sorted(files & inside):
-        raise ValueError(f"{both[0][:80]!r} is a file and a folder; create the archive again from plain files")
+        raise ValueError(f"{both[0][:80]!r} is both a file and a folder; create the archive again from plain files")
 
 
 def _refused(entry: zipfile.ZipInfo, name: str) -> str | None:

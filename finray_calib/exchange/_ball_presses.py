@@ -76,9 +76,9 @@ def require_length(value_mm: float | None, what: str, option: str, largest_mm: f
         When it is missing, not above zero, or too large to be meant.
     """
     if value_mm is None:
-        raise ImportFormatError(f"{what} is not in the folder; give it with {option}")
+        raise ImportFormatError(f"{what} is not stated in the folder; give it with {option}")
     if not 0.0 < value_mm <= largest_mm:
-        raise ImportFormatError(f"{what}: {value_mm:g} mm must be above 0 and at most {largest_mm:g} mm")
+        raise ImportFormatError(f"{what} must be above 0 and at most {largest_mm:g} mm, got {value_mm:g} mm")
     return value_mm
 
 
@@ -108,8 +108,8 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     rows, columns = no_contact_rgb.shape[:2]
     if press.rgb.shape != no_contact_rgb.shape:
         raise ImportFormatError(
-            f"{where}: the image has shape {press.rgb.shape}, but the no-contact image {no_contact_rgb.shape}; both "
-            "must come from one camera at one size"
+            f"{where}: the image has shape {press.rgb.shape}, but the no-contact image has shape "
+            f"{no_contact_rgb.shape}; take both images with one camera at one size"
         )
     if not (0.0 <= press.row_px < rows and 0.0 <= press.column_px < columns):
         raise ImportFormatError(
@@ -119,9 +119,9 @@ def _check(press: BallPress, no_contact_rgb: Bytes, mm_per_px: float, source: st
     ball_px = press.ball_diameter_mm / 2.0 / mm_per_px
     if not 0.0 < press.radius_px < ball_px:
         raise ImportFormatError(
-            f"{where}: the contact circle has a radius of {press.radius_px:g} px, which must be above 0 and below the "
-            f"ball's {ball_px:.4g} px ({press.ball_diameter_mm:g} mm diameter at {mm_per_px:g} mm per px); correct "
-            "--ball-diameter-mm (diameter, not radius) or --mm-per-px (not px per mm), or the label"
+            f"{where}: the contact circle has a radius of {press.radius_px:g} px, but it must be above 0 and below "
+            f"the radius of the ball, {ball_px:.4g} px ({press.ball_diameter_mm:g} mm diameter at {mm_per_px:g} mm "
+            "per px); correct --ball-diameter-mm (diameter, not radius), --mm-per-px (not px per mm) or the label"
         )
 
 
@@ -134,11 +134,12 @@ def read_rgb(path: Path) -> Bytes:
         When the file is missing or holds something else.
     """
     if not path.is_file():
-        raise ImportFormatError(f"{path}: no such file; the folder must hold it")
+        raise ImportFormatError(f"{path}: no such file, but the folder must contain it")
     bgr = read_picture(path, "an 8-bit colour image (PNG, JPEG)", ImportFormatError)
     if bgr.ndim != 3 or bgr.shape[2] != 3 or bgr.dtype != np.uint8:
         raise ImportFormatError(
-            f"{path}: expected an 8-bit colour image (PNG, JPEG), got {bgr.dtype} of shape {bgr.shape}; convert it"
+            f"{path}: expected an 8-bit colour image (PNG, JPEG), got {bgr.dtype} of shape {bgr.shape}; convert the "
+            "image"
         )
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)
 
@@ -188,7 +189,8 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
     background = next((folder / name for name in BACKGROUNDS if (folder / name).is_file()), None)
     if background is None:
         raise ImportFormatError(
-            f"{folder}: there is no {' or '.join(BACKGROUNDS)}; the image without contact must lie there"
+            f"{folder}: {' or '.join(BACKGROUNDS)} is missing; add the image without contact to the folder under this "
+            "name"
         )
     scale = require_length(mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM)
     if ball_diameter_mm is not None:
@@ -204,7 +206,7 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
             f"(docs/how-to/exchange-with-taxim.md)"
         )
     if not presses:
-        raise ImportFormatError(f"{folder}: holds no labelled press; label the contact circles first")
+        raise ImportFormatError(f"{folder}: contains no labelled press; label the contact circles first")
     captures = press_captures(presses, read_rgb(background), scale, f"ball presses of '{folder.resolve().name}'")
     return BallPressFolder(tuple(captures), tuple(left_out))
 
@@ -231,12 +233,12 @@ def read_circles(path: Path) -> dict[str, SourcedCircle]:
         image = str(_inside(row["image"], path, line))
         column, at_row, radius = (_number(row[name], name, path, line) for name in _CIRCLE_COLUMNS[1:])
         if radius <= 0.0 or image in circles:
-            fault = f"radius_px = {radius:g} must be above 0" if radius <= 0.0 else f"{image} has a circle already"
+            fault = f"radius_px = {radius:g} must be above 0" if radius <= 0.0 else f"{image} already has a circle"
             raise ImportFormatError(f"{path}, line {line}: {fault}; correct the line")
         name = "told_by" if "told_by" in row else "source"  # its name before
         source = str(row.get(name, "")).strip() or "label"
         if source not in ("label", "search"):
-            raise ImportFormatError(f"{path}, line {line}: {name} must be label or search, got {source!r}; correct it")
+            raise ImportFormatError(f"{path}, line {line}: {name} must be 'label' or 'search', got {source!r}")
         found = ContactCircle(row_px=at_row, column_px=column, radius_px=radius)
         circles[image] = SourcedCircle(found, "search" if source == "search" else "label")
     return circles
@@ -249,7 +251,7 @@ def _catalogued(folder: Path, ball_diameter_mm: float | None, left_out: list[str
         name = _inside(row[_FOLDER], folder / CATALOG, line)
         label = folder / name / "label.npz"
         if not label.is_file():
-            left_out.append(f"{name}: no label.npz, so no contact circle")
+            left_out.append(f"{name}: has no label.npz and so no contact circle")
             continue
         arrays, pickled = read_npz(label)
         centre = require_array(arrays, pickled, "center", 1, label)
@@ -278,12 +280,12 @@ def _rows(path: Path, needed: tuple[str, ...]) -> list[tuple[int, dict[str, str]
     rows = [(line, dict(zip_longest(columns, row[: len(columns)], fillvalue=""))) for line, row in cells]
     if len(rows) > MOST_PRESSES:
         raise ImportFormatError(
-            f"{path}: lists {len(rows)} presses; at most {MOST_PRESSES} can be read: split the file"
+            f"{path}: lists {len(rows)} presses, but at most {MOST_PRESSES} can be read; split the file"
         )
     missing = [name for name in needed if name not in columns]
     if missing:
         raise ImportFormatError(
-            f"{path}: the first line must name the columns {', '.join(needed)}; {', '.join(missing)} is missing"
+            f"{path}: the first line must name the columns {', '.join(needed)}, but {', '.join(missing)} is missing"
         )
     return rows
 
@@ -303,7 +305,7 @@ def _diameter(stated: str | None, given_mm: float | None, where: str) -> float:
     try:
         diameter = finite_number(stated)
     except ValueError:
-        raise ImportFormatError(f"{where}: {_DIAMETER} must be a number of mm, got {stated!r}") from None
+        raise ImportFormatError(f"{where}: {_DIAMETER} must be a number in mm, got {stated!r}") from None
     require_length(diameter, f"{where}: {_DIAMETER}", "--ball-diameter-mm")
     if given_mm is not None and abs(diameter - given_mm) > _SAME_DIAMETER_MM:
         raise ImportFormatError(
@@ -335,7 +337,7 @@ def read_npz(path: Path) -> tuple[Arrays, tuple[str, ...]]:
         When the file is missing, damaged or no npz file.
     """
     if not path.exists():
-        raise ImportFormatError(f"{path}: no such file; the folder must hold it")
+        raise ImportFormatError(f"{path}: no such file, but the folder must contain it")
     return storage.read_npz(path, "an npz file", ImportFormatError)
 
 
@@ -355,11 +357,14 @@ def require_array(
             "plain array (numpy.savez with equal shapes)"
         )
     if name not in arrays:
-        raise ImportFormatError(f"{path}: array {name!r} is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}")
+        raise ImportFormatError(
+            f"{path}: array {name!r} is missing; the file contains {', '.join(sorted(arrays)) or 'nothing'}"
+        )
     array = arrays[name]
     if array.dtype.kind not in "uif" or array.ndim != dims or not np.isfinite(array).all():
         raise ImportFormatError(
-            f"{path}: {name!r} must be finite numbers of {dims} dimensions, got {array.dtype} of shape {array.shape}"
+            f"{path}: {name!r} must be an array of finite numbers with {dims} dimensions, got {array.dtype} of shape "
+            f"{array.shape}"
         )
     return array
 
@@ -417,9 +422,8 @@ def read_taxim(folder: Path, ball_diameter_mm: float | None = None, mm_per_px: f
     no_contact = _image(require_array(arrays, pickled, "f0", 3, path), "f0", path)
     if "imgs" not in arrays and "imgs" not in pickled:
         raise ImportFormatError(
-            f"{path}: holds the no-contact image only, no presses ('imgs'); that is enough for Taxim to "
-            "render, but there is nothing to compare with: ask its owner for the folder from which the table "
-            "was made"
+            f"{path}: contains only the image without contact, but no presses ('imgs'). Taxim can render with it, but "
+            "there is nothing to compare with; ask its owner for the folder of presses from which the table was made"
         )
     scale = require_length(
         _pixel_mm(folder) if mm_per_px is None else mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM
@@ -441,8 +445,8 @@ def _presses(arrays: Arrays, pickled: tuple[str, ...], path: Path, ball_diameter
     radii = require_array(arrays, pickled, "touch_radius", 1, path).astype(np.float64)
     if centres.shape != (len(images), 2) or radii.shape != (len(images),):
         raise ImportFormatError(
-            f"{path}: {len(images)} images in 'imgs' need the same number of centres (x, y) and radii, got "
-            f"'touch_center' of shape {centres.shape} and 'touch_radius' of {radii.shape}"
+            f"{path}: 'imgs' has {len(images)} images, each of which needs a centre (x, y) and a radius, but "
+            f"'touch_center' has shape {centres.shape} and 'touch_radius' has shape {radii.shape}"
         )
     return [
         BallPress(f"press {k}", _image(image, "imgs", path), float(y), float(x), float(radius), ball_diameter_mm)
@@ -454,7 +458,8 @@ def _image(bgr: NDArray[Any], name: str, path: Path) -> NDArray[np.uint8]:
     """Return a stored image in RGB order."""
     if bgr.shape[2] != 3 or bgr.dtype != np.uint8:
         raise ImportFormatError(
-            f"{path}: {name!r} must hold 8-bit colour images (rows, columns, 3), got {bgr.dtype} of {bgr.shape}"
+            f"{path}: {name!r} must contain 8-bit colour images (rows, columns, 3), got {bgr.dtype} of shape "
+            f"{bgr.shape}"
         )
     return np.ascontiguousarray(bgr[..., ::-1])
 

@@ -120,8 +120,8 @@ def read_image(path: Path, camera: ImportedCamera) -> Counts:
     wanted = 3 if camera.layout == "RGB" else 2
     if stored.ndim != wanted or (wanted == 3 and stored.shape[2] != 3) or stored.dtype not in (np.uint8, np.uint16):
         raise ImportFormatError(
-            f"{path}: holds {stored.dtype} of shape {stored.shape}; camera.layout = '{camera.layout}' needs one 8- or "
-            f"16-bit image of {'rows x columns x 3' if wanted == 3 else 'rows x columns'} per file"
+            f"{path}: contains {stored.dtype} of shape {stored.shape}, but camera.layout = '{camera.layout}' needs "
+            f"one 8- or 16-bit image of {('rows x columns x 3' if wanted == 3 else 'rows x columns')} per file"
         )
     counts: Counts = stored.astype(np.uint16) >> np.uint16(camera.left_aligned_bits)
     full_scale_dn = 2**camera.bit_depth - 1
@@ -153,7 +153,9 @@ def _matches(folder: Path, field: str, pattern: str, filter_name: str | None) ->
     """Return the files below the folder that a pattern names."""
     parts = PurePosixPath(pattern)
     if parts.is_absolute() or ".." in parts.parts:
-        raise ImportFormatError(f"bands.toml, {field} = {pattern!r}: leads out of the folder; name files in {folder}")
+        raise ImportFormatError(
+            f"bands.toml, {field} = {pattern!r}: points outside the folder; name only files in {folder}"
+        )
     filled = pattern.replace("{filter}", glob.escape(filter_name or ""))
     found = sorted(path for path in folder.glob(filled) if path.is_file())
     if not found:
@@ -171,14 +173,15 @@ def _check_names(folder: Path, images: list[BandImage], timed: dict[str, float])
         other = seen.setdefault(image.path, image)
         if other is not image:
             raise ImportFormatError(
-                f"{image.path}: is both {_words(other)} and {_words(image)}; change the patterns of bands.toml so "
-                f"that each image matches one only (for example '{filter}nm.tif' instead of '{filter}*')"
+                f"{image.path}: the patterns of bands.toml name this image as {_words(other)} and as {_words(image)}; "
+                "change the patterns so that each image matches only one (for example '{filter}nm.tif' instead of "
+                "'{filter}*')"
             )
     used = {path.relative_to(folder).as_posix() for path in seen}
     unused = sorted(set(timed) - used)
     if unused:
         raise ImportFormatError(
-            f"bands.toml, exposure_s.files: no pattern matches {unused[0]!r}; correct the file name"
+            f"bands.toml, exposure_s.files: no pattern matches the file {unused[0]!r}; correct the file name"
         )
 
 
@@ -227,7 +230,7 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
         raise ImportFormatError(f"{folder}: is a file; give the folder of the images, which holds {DESCRIPTION_NAME}")
     if not (folder / DESCRIPTION_NAME).exists():
         raise ImportFormatError(
-            f"{folder}: holds no {DESCRIPTION_NAME}, which says which image shows what; write it as "
+            f"{folder}: {DESCRIPTION_NAME}, which tells what each image shows, is missing; write it as "
             "docs/how-to/import-band-images.md shows"
         )
     description = read_toml(folder / DESCRIPTION_NAME, BandFolder)
@@ -311,7 +314,7 @@ def _common_shape(images: list[BandImage], description: BandFolder) -> tuple[int
         if shape != first:
             raise ImportFormatError(
                 f"{image.path}: is {shape[0]} x {shape[1]} px, but {images[0].path.name} is {first[0]} x {first[1]} "
-                "px; all images must come from the same camera settings"
+                "px; take all images with the same camera settings"
             )
     return first
 
@@ -399,7 +402,10 @@ def require_inside(folder: Path, description: BandFolder) -> None:
     """
     for name in named_files(description):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise CurveError(f"{folder / DESCRIPTION_NAME}: {name!r} leads out of the folder; put the curve beside it")
+            raise CurveError(
+                f"{folder / DESCRIPTION_NAME}: {name!r} points outside the folder; move the curve file "
+                "into the folder of the description"
+            )
 
 
 def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
@@ -459,10 +465,11 @@ def _monochrome_response(path: Path) -> SpectralCurve:
     header, table = read_table(path)
     if header != MONOCHROME_COLUMNS:
         raise CurveError(
-            f"{path}: header is {','.join(header)[:80]}; a monochrome response needs {','.join(MONOCHROME_COLUMNS)}"
+            f"{path}: the header is {','.join(header)[:80]}, but a monochrome response needs "
+            f"{','.join(MONOCHROME_COLUMNS)}"
         )
     if (table[:, 1] < 0).any() or not table[:, 1].any():
-        raise CurveError(f"{path}: response_percent must be 0 or more and somewhere above 0")
+        raise CurveError(f"{path}: response_percent must be at least 0 in every row and above 0 in one or more")
     try:
         return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
     except FieldError as error:

@@ -68,8 +68,8 @@ def ball_presses(design: FingerDesign, view: PlannedView) -> IndenterPresses:
     half = min(pad.width_mm / 2.0, -view.across_mm[0], view.across_mm[1])
     if 2.0 * rim >= min(tip - base, 2.0 * half):
         raise RecordError(
-            f"pad: of its {pad.length_mm:g} x {pad.width_mm:g} x {pad.thickness_mm:g} mm the camera sees "
-            f"{max(tip - base, 0.0):.1f} x {max(2.0 * half, 0.0):.1f} mm, which is too little for the presses that a "
+            f"pad: the camera sees only {max(tip - base, 0.0):.1f} x {max(2.0 * half, 0.0):.1f} mm of the pad of "
+            f"{pad.length_mm:g} x {pad.width_mm:g} x {pad.thickness_mm:g} mm, too little for the presses that a "
             f"normal map needs (a ball of {radius:g} mm radius, {deepest:g} mm deep); change the pad or the camera of "
             "the design"
         )
@@ -96,8 +96,8 @@ def indenter_presses(design: FingerDesign) -> IndenterPresses:
     indenter = design.indenter
     if indenter.shape not in ("cylinder", "ball") or indenter.depth_mm <= 0.0:
         raise RecordError(
-            f"indenter.shape = {indenter.shape!r}, depth_mm = {indenter.depth_mm:g} mm: a capture request needs a "
-            "cylinder or a ball that is pressed in; change the design's indenter"
+            f"indenter.shape = {indenter.shape!r} with depth_mm = {indenter.depth_mm:g} mm is not supported, because "
+            "a capture request needs a cylinder or a ball and a depth above 0 mm; change the indenter of the design"
         )
     presses = [Press(share * indenter.depth_mm, indenter.position_mm) for share in _PRESS_DEPTHS_REL]
     return IndenterPresses(indenter.shape, indenter.radius_mm, presses)
@@ -150,7 +150,7 @@ def capture_request(
         name = f"{stem}.angle-{angle:g}.toml"
         if name in plans:
             raise RecordError(
-                f"panel angle of {float(angle)!r} deg: the plan of another angle is named {name} too; round the "
+                f"panel angle of {float(angle)!r} deg: the plan of another angle has the same name, {name}; round the "
                 "angles, and light.angle_deg of the design, to six digits"
             )
         plans[name] = tactile_plan_text(design, design_file, own, view, angle, board=False)

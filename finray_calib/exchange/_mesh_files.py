@@ -363,7 +363,9 @@ def _at_nodes(mesh: FingerMesh, **given: NDArray[np.float64] | None) -> dict[str
     found = {name: values for name, values in given.items() if values is not None}
     for name, values in found.items():
         if values.shape != shapes[name] or not np.isfinite(values).all():
-            raise SimulateError(f"{name} must be finite, of shape {shapes[name]} as the nodes, got {values.shape}")
+            raise SimulateError(
+                f"{name} must be finite and have the shape of the nodes, {shapes[name]}, got shape {values.shape}"
+            )
     return found
 
 
@@ -402,12 +404,12 @@ def outline_solid_stl(capture: TactileCapture, height_mm: float) -> bytes:
         The capture has no outline or no scale, or the outline lies on one line.
     """
     if not capture.contact_outline or capture.mm_per_px is None:
-        raise ImportFormatError(f"{capture.name}: has no outline of its contact in mm; give [contact] and [scale]")
+        raise ImportFormatError(f"{capture.name}: has no contact outline in mm; give [contact] and [scale]")
     places = np.array([(p.column_px, p.row_px) for p in capture.contact_outline], dtype=np.float32)
     corners = cv2.convexHull(places)[:, 0].astype(np.float64)
     if len(corners) < 3:
         raise ImportFormatError(
-            f"{capture.name}: the outline of its contact lies on one line; give three corners or more"
+            f"{capture.name}: the contact outline lies on one line; give at least three corners that do not"
         )
     rows, columns = capture.contact.shape[:2]
     x, z = capture.mm_per_px * (corners - np.array([columns - 1, rows - 1]) / 2.0).T * np.array([[1.0], [-1.0]])

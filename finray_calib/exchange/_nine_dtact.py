@@ -99,7 +99,7 @@ def predict_press(
     contact_radius_mm = circle.radius_px * mm_per_px
     if contact_radius_mm >= ball_radius_mm:
         raise ImportFormatError(
-            f"The contact circle has radius {contact_radius_mm:.3f} mm, not less than the ball's "
+            f"The contact circle has a radius of {contact_radius_mm:.3f} mm, but it must be below the ball's radius, "
             f"{ball_radius_mm:.3f} mm. Check the scale (mm per px, not px per mm) and the ball radius."
         )
     inside = disc(no_contact_rgb.shape[:2], circle.center_px, circle.radius_px)
@@ -200,8 +200,8 @@ def load_depth_table(path: Path) -> NDArray[np.float64]:
     table = np.asarray(_load_array(path), dtype=np.float64)
     if table.ndim != 1 or len(table) < 3 or not (np.diff(table[1:]) > 0).all():
         raise ImportFormatError(
-            f"{path}: expected one depth in mm per grey level, growing from entry 1 on, got shape {table.shape}. "
-            "Run the maker's depth calibration again."
+            f"{path}: expected one depth in mm per grey level, increasing from entry 1 on, got an array of shape "
+            f"{table.shape}. Run the maker's depth calibration again."
         )
     return table
 
@@ -236,7 +236,7 @@ def load_rectified_crop(sensor_folder: Path, image: str) -> NDArray[np.uint8]:
         index = _load_array(camera / name)
         if index.shape != _RAW_SHAPE[:2] or index.dtype.kind != "i" or index.min() < 0 or index.max() >= limit:
             raise ImportFormatError(
-                f"{camera / name}: expected {_RAW_SHAPE[0]} x {_RAW_SHAPE[1]} whole pixel indices from 0 to "
+                f"{camera / name}: expected {_RAW_SHAPE[0]} x {_RAW_SHAPE[1]} integer pixel indices from 0 to "
                 f"{limit - 1}, got {index.dtype} of shape {index.shape}. Run the maker's camera calibration again."
             )
         indices.append(index)
@@ -246,7 +246,8 @@ def load_rectified_crop(sensor_folder: Path, image: str) -> NDArray[np.uint8]:
     if crop.shape != _CROP_SHAPE:
         raise ImportFormatError(
             f"{camera / 'position_scale.npy'}: the crop of {_CROP_SHAPE[0]} x {_CROP_SHAPE[1]} px around row "
-            f"{center_row:.0f}, column {center_column:.0f} leaves the image of {_RAW_SHAPE[0]} x {_RAW_SHAPE[1]} px."
+            f"{center_row:.0f}, column {center_column:.0f} extends beyond the image of {_RAW_SHAPE[0]} x "
+            f"{_RAW_SHAPE[1]} px."
         )
     return crop
 
@@ -269,7 +270,7 @@ def _load_array(path: Path) -> NDArray[Any]:
         raise ImportFormatError(f"{path}: no such file. Give the folder of one sensor as the maker's code wrote it.")
     array = read_npy(path, "an array of numbers (.npy)", ImportFormatError)
     if array.dtype.kind not in "iuf":
-        raise ImportFormatError(f"{path}: expected real numbers, got {array.dtype}. Save it again from numbers.")
+        raise ImportFormatError(f"{path}: expected real numbers, got {array.dtype}. Save the array again as numbers.")
     return array
 
 
@@ -280,7 +281,8 @@ def _load_rgb(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
     bgr = read_picture(path, "an 8-bit colour image", ImportFormatError)
     if bgr.shape != shape or bgr.dtype != np.uint8:
         raise ImportFormatError(
-            f"{path}: expected an 8-bit colour image of {shape[0]} x {shape[1]} px, got {bgr.dtype} of {bgr.shape}."
+            f"{path}: expected an 8-bit colour image of {shape[0]} x {shape[1]} px, got {bgr.dtype} of shape "
+            f"{bgr.shape}."
         )
     return np.asarray(bgr[..., ::-1], dtype=np.uint8)
 

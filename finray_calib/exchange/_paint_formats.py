@@ -263,7 +263,7 @@ def netcdf_bytes(paint: PaintCalibration, spectra: PaintSpectra, origin: Provena
         from xarray import DataTree
     except ImportError:
         raise MissingExtraError(
-            "export to netcdf needs xarray, h5netcdf and h5py: pip install 'finray-calib[netcdf]'"
+            "export to netcdf needs xarray, h5netcdf and h5py; install them with pip install 'finray-calib[netcdf]'"
         ) from None
     with TemporaryDirectory() as folder:
         file = Path(folder) / "paint.nc"
@@ -290,7 +290,9 @@ def inference_data(paint: PaintCalibration, seed: int = 1) -> Any:
         import_module("xarray")
         arviz = import_module("arviz")
     except ImportError:
-        raise MissingExtraError("to_inferencedata needs ArviZ and xarray: pip install arviz xarray") from None
+        raise MissingExtraError(
+            "to_inferencedata needs ArviZ and xarray; install them with pip install arviz xarray"
+        ) from None
     origin = paint.provenance or provenance("finray_calib, from Python")
     groups = _groups(paint, paint_spectra(paint), origin, np.random.default_rng(seed))
     return arviz.InferenceData(**groups)

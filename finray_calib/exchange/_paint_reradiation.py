@@ -104,8 +104,8 @@ class PaintSpectra:
             found = getattr(self, field).shape
             if found != wanted:
                 raise CurveError(
-                    f"paint '{self.name}': {field} has shape {found}, and {wanted} is needed (draws of "
-                    "emission and absorption are paired); run 'finray fit' again"
+                    f"paint '{self.name}': {field} has shape {found}, but must have shape {wanted} (draws of emission "
+                    "and absorption are paired); run 'finray fit' again"
                 )
 
     @property
@@ -301,7 +301,8 @@ def read_bispectral_exr(path: Path, row_px: int = 0, column_px: int = 0) -> Band
     axis_nm = np.unique([excitation_nm for excitation_nm, _ in found])
     if len(found) == len(axis_nm) or len(axis_nm) < 2:
         raise ImportFormatError(
-            f"{path}: holds no channels T.<in>nm.<out>nm; give a bispectral image after Fichet et al. 2021"
+            f"{path}: has no bispectral channels T.<in>nm.<out>nm; give a bispectral image in the format of Fichet et "
+            "al. 2021"
         )
     matrix = np.zeros((len(axis_nm), len(axis_nm)))
     for column, excitation_nm in enumerate(axis_nm):
@@ -345,7 +346,9 @@ def _open_exr() -> ModuleType:
     try:
         return import_module("OpenEXR")
     except ImportError:
-        raise MissingExtraError("OpenEXR images need the OpenEXR package: pip install 'finray-calib[exr]'") from None
+        raise MissingExtraError(
+            "OpenEXR images need the OpenEXR package; install it with pip install 'finray-calib[exr]'"
+        ) from None
 
 
 CHANNELS = ("red", "green", "blue")

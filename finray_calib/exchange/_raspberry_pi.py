@@ -96,7 +96,7 @@ def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None)
     bgr = read_picture(path, "a processed image (PNG, JPEG)", ImportFormatError)
     if bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
         raise ImportFormatError(
-            f"{path}: is {bgr.dtype} of shape {bgr.shape}; a processed image is an 8-bit colour PNG or JPEG"
+            f"{path}: a processed image must be an 8-bit colour PNG or JPEG, got {bgr.dtype} of shape {bgr.shape}"
         )
     return ProcessedImage(np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8), path.suffix.lower() != ".png")
 
@@ -129,7 +129,8 @@ def _read_dng(path: Path) -> RawImage:
     depths = [bits for bits in BIT_DEPTHS if 2**bits - 1 == image.white_dn]
     if not depths:
         raise ImportFormatError(
-            f"{path}: white level {image.white_dn} DN is not supported; it must be 2^bits - 1 for {BIT_DEPTHS} bits"
+            f"{path}: a white level of {image.white_dn} DN is not supported; it must be 2^bits - 1 for {BIT_DEPTHS} "
+            "bits"
         )
     return RawImage(image.counts, image.order, depths[0])
 
@@ -138,8 +139,8 @@ def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth |
     """Read Bayer counts of a TIFF, which says neither the order of its colours nor its bits."""
     if order is None or bit_depth is None:
         raise ImportFormatError(
-            f"{path}: a TIFF does not state its Bayer order and bit depth, so its encoding cannot be known; "
-            "give both (--bayer-order, --bit-depth), or use the DNG"
+            f"{path}: the Bayer order and bit depth must be given, because a TIFF does not state them; add "
+            "--bayer-order and --bit-depth, or use the DNG"
         )
     try:
         counts = read_plain_counts(path)
@@ -147,8 +148,8 @@ def _read_bayer_tiff(path: Path, order: BayerOrder | None, bit_depth: BitDepth |
         raise ImportFormatError(str(error)) from error
     if int(counts.max()) >= 2**bit_depth:
         raise ImportFormatError(
-            f"{path}: holds {counts.max()} DN, more than {bit_depth} bits allow ({2**bit_depth - 1}); correct "
-            "--bit-depth"
+            f"{path}: contains values up to {counts.max()} DN, but {bit_depth} bits allow at most {2**bit_depth - 1} "
+            "DN; correct --bit-depth"
         )
     return RawImage(counts, order, bit_depth)
 
@@ -227,8 +228,8 @@ def raspberry_pi_capture(folder: Path, options: RaspberryPiOptions) -> TactileCa
     for name in IMAGES[:2]:
         if name not in paths:
             raise ImportFormatError(
-                f"{folder}: holds no image '{name}' ({', '.join((*RAW_SUFFIXES, *PROCESSED_SUFFIXES))}); a press needs "
-                "'contact' and 'no_contact'"
+                f"{folder}: the image '{name}' ({', '.join((*RAW_SUFFIXES, *PROCESSED_SUFFIXES))}) is missing; a "
+                "press needs 'contact' and 'no_contact'"
             )
     settings = {path.name: capture_settings(_metadata(path), path.name) for path in paths.values()}
     require_same_settings(settings)
@@ -237,7 +238,9 @@ def raspberry_pi_capture(folder: Path, options: RaspberryPiOptions) -> TactileCa
     raw = {name: image for name, image in images.items() if isinstance(image, RawImage)}
     processed = {name: image for name, image in images.items() if isinstance(image, ProcessedImage)}
     if raw and processed:
-        raise ImportFormatError(f"{folder}: mixes raw and processed images; give all of one press in one format")
+        raise ImportFormatError(
+            f"{folder}: contains both raw and processed images; give all images of one press in one format"
+        )
     linear = _from_raw(raw, one, options, folder) if raw else _from_processed(processed, one, options, folder)
     circle = press.contact_circle
     if raw and circle is not None:
@@ -269,7 +272,7 @@ def _from_raw(
     kinds = {(image.order, image.bit_depth, image.counts.shape) for image in raw.values()}
     if len(kinds) > 1:
         raise ImportFormatError(
-            f"{folder}: its images differ in Bayer order, bits or size: {sorted(map(str, kinds))}; capture all "
+            f"{folder}: the images differ in Bayer order, bits or size ({sorted(map(str, kinds))}); capture all "
             "images of a press with the same settings"
         )
     black_level_rel = settings.black_level_rel
@@ -297,7 +300,7 @@ def _gains(settings: CaptureSettings, options: RaspberryPiOptions, shape: tuple[
         raise ImportFormatError("flattening the lens shading needs a tuning file with rpi.alsc tables; give --tuning")
     if settings.temperature_k is None:
         raise ImportFormatError(
-            "metadata: has no ColourTemperature, which the lens-shading tables need; leave out --flatten-shading"
+            "metadata: ColourTemperature is missing, but the lens-shading tables need it; leave out --flatten-shading"
         )
     return shading_gains(options.tuning.shading, settings.temperature_k, (shape[0], shape[1]))
 
@@ -308,14 +311,14 @@ def _from_processed(
     """Estimate linear light from processed images and say how well it is known."""
     if options.tuning is None:
         raise ImportFormatError(
-            f"{folder}: its images are processed (PNG or JPEG), so their encoding cannot be known without the tuning "
-            "file that the camera used; give --tuning, or capture raw (rpicam-still --raw)"
+            f"{folder}: the encoding of processed images (PNG or JPEG) is unknown without the tuning file that the "
+            "camera used; give --tuning, or capture raw (rpicam-still --raw)"
         )
     sizes = {image.codes.shape for image in processed.values()}
     if len(sizes) > 1:
         raise ImportFormatError(
-            f"{folder}: its images differ in size: {sorted(sizes)} (rows, columns, channels); capture all images "
-            "of a press with the same settings"
+            f"{folder}: the images differ in size ({sorted(sizes)}: rows, columns, channels); capture all images of a "
+            "press with the same settings"
         )
     estimates = {
         name: processed_signal(image.codes, options.tuning, settings, options.undo_colour, image.compressed)
@@ -345,7 +348,10 @@ def _image_path(folder: Path, name: str) -> Path | None:
     found = [p for s in (*RAW_SUFFIXES, *PROCESSED_SUFFIXES) if (p := folder / f"{name}{s}").is_file()]
     if len(found) > 1:
         names = " and ".join(p.name for p in found)
-        raise ImportFormatError(f"{folder}: holds {names}; keep one image of each name, raw if there is one")
+        raise ImportFormatError(
+            f"{folder}: contains {names}, but only one image of each name is allowed; keep one of "
+            "them, the raw one if there is one"
+        )
     return found[0] if found else None
 
 
@@ -354,14 +360,13 @@ def _metadata(image: Path) -> dict[str, Any]:
     path = image.with_suffix(".json")
     if not path.exists():
         raise ImportFormatError(
-            f"{image}: has no metadata beside it ({path.name}), so it is not known whether exposure and white "
-            "balance were locked; write it with rpicam-still --metadata"
+            f"{image}: the metadata file {path.name} is missing beside it, so it is unknown whether exposure and "
+            "white balance were locked; write it with rpicam-still --metadata"
         )
     metadata = read_json(path, "what rpicam-still --metadata wrote", ImportFormatError)
     if not isinstance(metadata, dict):
         raise ImportFormatError(
-            f"{path}: is not a JSON object, which the metadata of an image must be; write it with rpicam-still "
-            "--metadata"
+            f"{path}: must be a JSON object with the metadata of an image; write it with rpicam-still --metadata"
         )
     return metadata
 

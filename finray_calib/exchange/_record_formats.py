@@ -70,7 +70,7 @@ def record_dataset(record: Record) -> "Dataset":
     try:
         from xarray import Dataset
     except ImportError:
-        raise MissingExtraError("to_xarray needs xarray: pip install 'finray-calib[netcdf]'") from None
+        raise MissingExtraError("to_xarray needs xarray; install it with pip install 'finray-calib[netcdf]'") from None
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
     for name, field in type(record).model_fields.items():
@@ -114,7 +114,7 @@ def study_dataset(result: StudyResult) -> "Dataset":
     try:
         from xarray import Dataset
     except ImportError:
-        raise MissingExtraError("a Dataset needs xarray: pip install 'finray-calib[netcdf]'") from None
+        raise MissingExtraError("a Dataset needs xarray; install it with pip install 'finray-calib[netcdf]'") from None
     variables: dict[str, Any] = {}
     for first in {metric.name: metric for row in result.points for metric in row.metrics}.values():
         of_point = [next((m for m in row.metrics if m.name == first.name), None) for row in result.points]
@@ -290,7 +290,7 @@ def capture_container(place: Path) -> CaptureContainer:
     presses = [path for path in inside if path.name.endswith(PRESS)]
     if not captures:
         raise RecordError(
-            f"{place}: holds no NAME{CAPTURE}; give a folder of captures, as 'finray import captures' writes it"
+            f"{place}: contains no NAME{CAPTURE}; give a folder of captures, as 'finray import captures' writes it"
         )
     for path in captures:
         read_record(path, TactileCapture)
@@ -352,11 +352,11 @@ def capture_by_package(name: str, folder: Path) -> TactileCapture:
     capture = plug_in.call(lambda: module.read_capture(folder), f"{folder}: ")
     if not isinstance(capture, TactileCapture):
         raise plug_in.refusal(
-            f"returns a {type(capture).__name__}, where a data_schemas.TactileCapture is needed", f"{folder}: "
+            f"returns a {type(capture).__name__}, but a data_schemas.TactileCapture is needed", f"{folder}: "
         )
     if not any(digest_as_read(file) is not None for file in folder.rglob("*")):
         raise plug_in.refusal(
-            "did not read any file of it through data_schemas.storage (read_bytes, read_npy, tiff_image), so "
-            "that the record could not name what it was made from", f"{folder}: ",
+            "did not read any file of the folder through data_schemas.storage (read_bytes, read_npy, tiff_image), so "
+            "the record could not name its sources", f"{folder}: ",
         )  # fmt: skip
     return capture

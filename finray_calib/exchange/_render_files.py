@@ -241,15 +241,15 @@ def read_renders(folder: Path, captures: Mapping[str, TactileCapture] | None = N
     if not folders:
         endings = ", ".join(IMAGE_ENDINGS)
         raise ImportFormatError(
-            f"{folder}: neither it nor a folder in it holds a file {CONTACT} ({endings}); put the image with contact "
-            f"there, and {NO_CONTACT} beside it"
+            f"{folder}: contains no file {CONTACT} ({endings}), neither directly nor in a folder inside it; add the "
+            f"image with contact, and the image {NO_CONTACT} beside it"
         )
     known, common = captures or {}, None if folders == [folder] else _image_file(folder, NO_CONTACT)
     unknown = [inner.resolve().name for inner in folders if inner.resolve().name not in known]
     if known and len(unknown) == len(folders):
         raise ImportFormatError(
-            f"{folder}: there is no capture of the name of {unknown[0]}, nor of any other press in it; name the "
-            f"folders as the captures are named: {', '.join(list(known)[:3])}{', ...' if len(known) > 3 else ''}"
+            f"{folder}: no folder of a press (such as {unknown[0]}) has the name of a capture; name the folders like "
+            f"the captures ({', '.join(list(known)[:3])}{(', ...' if len(known) > 3 else '')})"
         )
     return {inner.resolve().name: _press(inner, known.get(inner.resolve().name), common) for inner in folders}
 
@@ -266,7 +266,7 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
     contact_file, rest_file = _image_file(folder, CONTACT), _image_file(folder, NO_CONTACT) or common
     if contact_file is None or rest_file is None:
         raise ImportFormatError(
-            f"{folder}: there is no {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) beside {CONTACT}; render the untouched "
+            f"{folder}: {NO_CONTACT} ({', '.join(IMAGE_ENDINGS)}) is missing beside {CONTACT}; render the untouched "
             "gel with the same settings, with a height of zero"
         )
     ending = contact_file.suffix.lower()
@@ -277,8 +277,8 @@ def _press(folder: Path, capture: TactileCapture | None, common: Path | None) ->
     encoding = said.encoding or {".exr": "linear", ".npy": None}.get(ending, "encoded")
     if encoding is None:
         raise ImportFormatError(
-            f'{folder}: npy files do not state what they hold; write "encoding": "linear" (proportional to '
-            f'light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
+            f'{folder}: the encoding is unknown, because npy files do not state it; write "encoding": "linear" '
+            f'(proportional to light) or "encoded" (values of an 8-bit image) into {DESCRIPTION}'
         )
     depth = None if capture is None or capture.encoding == "linear" else capture.bit_depth
     contact, no_contact = _images(contact_file, rest_file, said.channels, depth)
@@ -309,7 +309,7 @@ def _require_sizes(folder: Path, images: Mapping[str, Floats], capture: TactileC
     (contact_name, contact), (rest_name, no_contact) = images.items()
     if contact.shape != no_contact.shape:
         raise ImportFormatError(
-            f"{folder}: {contact_name} is {contact.shape[1]} x {contact.shape[0]} px, {rest_name} "
+            f"{folder}: {contact_name} is {contact.shape[1]} x {contact.shape[0]} px, but {rest_name} is "
             f"{no_contact.shape[1]} x {no_contact.shape[0]} px; render both with one camera"
         )
     # a capture of Bayer counts is compared as a picture of half the side
@@ -317,7 +317,7 @@ def _require_sizes(folder: Path, images: Mapping[str, Floats], capture: TactileC
     if capture is not None and contact.shape[:2] != wanted[:2]:
         sizes = [f"{shape[1]} x {shape[0]} px" for shape in (contact.shape, wanted)]
         raise ImportFormatError(
-            f"{folder}: its images are {sizes[0]}, those of the capture {capture.name} {sizes[1]}; render as the "
+            f"{folder}: the images are {sizes[0]}, but the capture {capture.name} has {sizes[1]}; render as the "
             "camera sees it, with the same number of pixels and the same side up"
         )
 
@@ -348,8 +348,8 @@ def _in_steps(picture: NDArray[Any], path: Path, captured_bits: int | None) -> F
         return np.asarray(picture / 257.0)  # 65535 is full scale, as 255 is
     if picture.dtype == np.uint8 and captured_bits not in (None, 8):
         raise ImportFormatError(
-            f"{path}: has 8 bits, and the capture has {captured_bits}; write pictures of 16 bits on the scale of "
-            "the capture's own image without contact"
+            f"{path}: has 8 bits, but the capture has {captured_bits}; write pictures of 16 bits on the scale of the "
+            "capture's own image without contact"
         )
     return picture.astype(np.float64)
 
@@ -361,11 +361,13 @@ def _array(path: Path, channels: str | None) -> Floats:
     array = read_npy(path, "an image (npy)", ImportFormatError).astype(np.float64)
     if array.ndim != 3 or array.shape[2] != 3 or not np.isfinite(array).all() or array.min(initial=0.0) < 0.0:
         raise ImportFormatError(
-            f"{path}: expected finite numbers >= 0 of shape (rows, columns, 3), got shape {array.shape}; correct it"
+            f"{path}: expected finite numbers of at least 0 and shape (rows, columns, 3), got shape {array.shape}; "
+            "correct the array"
         )
     if channels is None:
         raise ImportFormatError(
-            f'{path}: npy files do not state the order of their channels; write "channels": "RGB" or "BGR"'
+            f'{path}: the order of the channels is unknown, because npy files do not state it; write "channels": '
+            '"RGB" or "BGR"'
         )
     return np.asarray(array[..., ::-1] if channels == "BGR" else array)
 
@@ -385,8 +387,8 @@ def _distance(
         depth = read_npy(folder / DEPTH, "a map of depths (npy)", ImportFormatError).astype(np.float64)
         if depth.shape != shape[:2] or not np.isfinite(depth).all() or not depth.max(initial=0.0) > 0.0:
             raise ImportFormatError(
-                f"{folder / DEPTH}: expected finite depths in mm of {shape[0]} x {shape[1]} (rows, columns), some "
-                f"above 0, got shape {depth.shape}; positive is into the gel"
+                f"{folder / DEPTH}: expected finite depths in mm (positive into the gel) of shape ({shape[0]}, "
+                f"{shape[1]}), some above 0, got shape {depth.shape}"
             )
         inside = depth > LEAST_DEPTH_SHARE * depth.max()
         return outline_distance(inside), f"where {DEPTH} exceeds {100 * LEAST_DEPTH_SHARE:.0f} % of its largest depth"
@@ -394,12 +396,13 @@ def _distance(
         mask = read_picture(folder / MASK, "a mask (PNG)", ImportFormatError)
         touched: NDArray[np.bool_] = np.asarray(mask if mask.ndim == 2 else mask.max(axis=2)) > 0
         if touched.shape != shape[:2] or not touched.any():
-            raise ImportFormatError(f"{folder / MASK}: must be as large as the images and white where the contact is")
+            raise ImportFormatError(
+                f"{folder / MASK}: must have the size of the images, with white pixels where the contact is"
+            )
         return outline_distance(touched), f"the mask {MASK}"
     raise ImportFormatError(
-        f"{folder}: the place of the contact is not given, and a score needs its region; write {DEPTH} (mm, "
-        f"positive into the gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with "
-        "--capture"
+        f"{folder}: the place of the contact is missing, but a score needs it; write {DEPTH} (mm, positive into the "
+        f"gel), {MASK}, or contact_circle into {DESCRIPTION}, or give the capture with --capture"
     )
 
 
@@ -427,7 +430,7 @@ def press_request(capture: TactileCapture, with_contact: bool) -> dict[str, byte
     """
     if capture.layout != "RGB":
         raise ImportFormatError(
-            f"{capture.name}: holds {capture.layout} counts, but simulators of colour images need a capture in RGB"
+            f"{capture.name}: contains {capture.layout} counts, but simulators of colour images need a capture in RGB"
         )
     circle, outline = capture.contact_circle, capture.contact_outline
     told = {

@@ -181,7 +181,9 @@ class SessionFrames:
         """
         path = self.folder / frame.file
         if not path.resolve().is_relative_to(self.folder.resolve()):
-            raise RecordError(f"{path}: leads out of the session's folder; frames must be plain files inside it")
+            raise RecordError(
+                f"{path}: points outside the folder of the session; frames must be plain files in this folder"
+            )
         return read_frame(path, frame.sha256)
 
     def device(self, role: str) -> DeviceIdentity | None:
@@ -285,12 +287,12 @@ def read_session_frames(folder: Path) -> SessionFrames:
     session = read_record(path, SESSION_KINDS[kind]) if kind in SESSION_KINDS else read_session(folder)
     seen = _tactile(folder, session) if isinstance(session, TactileSession) else _bench(folder, session)
     if not seen.frames:
-        raise RecordError(f"{folder}: the session holds no frame; there is nothing to export")
+        raise RecordError(f"{folder}: the session has no frames, so there is nothing to export")
     lost = [frame.file for frame in seen.frames if not has_file(folder / frame.file)]
     if lost:
         raise RecordError(
             f"{folder / lost[0]}: {len(lost)} of {len(seen.frames)} frames of the session are missing; restore them "
-            f"from a copy, then check the folder with: finray verify {folder}"
+            f"from a copy, then run 'finray verify {folder}'"
         )
     return seen
 
@@ -298,7 +300,7 @@ def read_session_frames(folder: Path) -> SessionFrames:
 def _bench(folder: Path, session: Any) -> SessionFrames:
     """Return the frames of a paint or camera session."""
     if not isinstance(session, CaptureSession | CameraSession):
-        raise RecordError(f"{folder}: holds no session of frames; give the folder that 'finray capture' wrote")
+        raise RecordError(f"{folder}: contains no session of frames; give the folder that 'finray capture' wrote")
     is_paint = isinstance(session, CaptureSession)
     rig, plan = session.rig, session.plan
     return SessionFrames(
@@ -327,8 +329,8 @@ def _bench_frames(
     for place, frame in enumerate(frames):
         if frame.filter_name not in bands:
             raise RecordError(
-                f"{path}: frames[{place}]: filter '{frame.filter_name}' is not in the rig of the session; there are "
-                f"{', '.join(band.name for band in filters)}; the record was edited: restore it from a copy"
+                f"{path}: frames[{place}]: filter '{frame.filter_name}' is not in the rig of the session (valid names "
+                f"are {', '.join(band.name for band in filters)}), so the record was edited; restore it from a copy"
             )
     # records of the first versions hold no time of the monotonic clock
     is_timed = any(frame.middle_s > 0.0 for frame in frames)

@@ -38,7 +38,7 @@ LARGEST_VIDEO_BYTES = 512 << 20
 MOST_FRAMES = 20_000
 _HEADER_BYTES = 8
 _DEEPEST_LIST = 6
-CONVERT_VIDEO: Final = "convert the video: ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi, or to pictures"
+CONVERT_VIDEO: Final = "convert the video with 'ffmpeg -i VIDEO -c:v mjpeg -q:v 1 VIDEO.avi', or convert it to pictures"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +89,8 @@ def decoded_video(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
             decoded += read[1].nbytes
             if decoded > _MOST_DECODED_BYTES or len(ends) == MOST_FRAMES:
                 raise ImportFormatError(
-                    f"{where}: takes more than {_MOST_DECODED_BYTES >> 20} MB when decoded; cut the video, or "
-                    f"{CONVERT_VIDEO}"
+                    f"{where}: the video is too long, because only {MOST_FRAMES} frames and "
+                    f"{_MOST_DECODED_BYTES >> 20} MB of decoded frames are supported; cut the video, or {CONVERT_VIDEO}"
                 )
             # one growing buffer: to join a list of frames would need the memory twice
             frames += cv2.imencode(".png", read[1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].data
@@ -121,7 +121,9 @@ def _motion_jpeg_frames(content: bytes, path: Path) -> list[bytes] | None:
         # a frame without content is one that was dropped: the one before it is shown again
         frames += [part] if part else frames[-1:]
     if not frames or len(frames) > MOST_FRAMES:
-        raise ImportFormatError(f"{path}: holds {len(frames)} frames; 1 to {MOST_FRAMES} are allowed: cut the video")
+        raise ImportFormatError(
+            f"{path}: has {len(frames)} frames, but only 1 to {MOST_FRAMES} are allowed; cut the video"
+        )
     return frames if all(frame.startswith(b"\xff\xd8") for frame in frames) else None
 
 
@@ -195,7 +197,7 @@ class ArrayFiles:
             kind = path.suffix.lower()
             if kind not in (*ARRAY_FILES, *TEXTS_OF_NUMBERS):
                 raise ImportFormatError(
-                    f"{path}: arrays of pictures are read from {', '.join(ARRAY_FILES)}; {_conversion(path)}"
+                    f"{path}: arrays of pictures are read only from {', '.join(ARRAY_FILES)} files; {_conversion(path)}"
                 )
             if kind == ".npz":
                 self._kept[path] = read_npz(path)
@@ -213,7 +215,7 @@ class ArrayFiles:
             )
         if name not in arrays:
             raise ImportFormatError(
-                f"{path}: array '{name}' is missing; it holds {', '.join(sorted(arrays)) or 'nothing'}"
+                f"{path}: array '{name}' is missing; the file contains {', '.join(sorted(arrays)) or 'nothing'}"
             )
         return arrays[name]
 
@@ -222,8 +224,8 @@ class ArrayFiles:
         array = self.array(path, name)
         if array.ndim not in (3, 4):
             raise ImportFormatError(
-                f"{path}: '{name}' of shape {array.shape} is no array of pictures; (pictures, rows, columns, 3) is "
-                "needed, or (pictures, rows, columns) for grey"
+                f"{path}: '{name}' of shape {array.shape} is not an array of pictures; its shape must be (pictures, "
+                "rows, columns, 3), or (pictures, rows, columns) for grey"
             )
         return len(array)
 
@@ -231,12 +233,16 @@ class ArrayFiles:
         """Return the picture at a path into an array, ``set.npz::images[3]``."""
         place = _ARRAY_PLACE.fullmatch(path.name)
         if place is None:
-            raise ImportFormatError(f"{path}: must end in ::ARRAY or ::ARRAY[number], such as ::images[3]; correct it")
+            raise ImportFormatError(
+                f"{path}: must end in ::ARRAY or ::ARRAY[number], such as ::images[3]; correct the path"
+            )
         array = self.array(path.with_name(place["file"]), place["array"])
         if place["index"] is None:
             return array
         if array.ndim < 3 or int(place["index"]) >= len(array):
-            raise ImportFormatError(f"{path}: the array of shape {array.shape} has no such picture; correct the recipe")
+            raise ImportFormatError(
+                f"{path}: the array of shape {array.shape} has no picture of this number; correct the recipe"
+            )
         return np.asarray(array[int(place["index"])])
 
 
@@ -259,7 +265,7 @@ def file_inside(folder: Path, inner: str) -> Path:
     found = next((form for form in forms if has_file(file_of(form))), folder / inner)
     # both are opened, by readers of arrays and by those of whole files
     if not all(path.resolve().is_relative_to(folder.resolve()) for path in (found, file_of(found))):
-        raise ImportFormatError(f"{found}: leads out of the folder; copy the file into it")
+        raise ImportFormatError(f"{found}: points outside the folder; copy the file into the folder")
     return found
 
 
@@ -320,14 +326,16 @@ def decoded_pages(content: bytes, where: str) -> tuple[None, dict[str, NDArray[A
     try:
         is_read, pages = cv2.imdecodemulti(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         if len({page.shape for page in pages}) > 1:
-            raise ImportFormatError(f"{where}: holds pictures of several sizes; save each as a file of its own")
+            raise ImportFormatError(
+                f"{where}: contains pictures of several sizes; save each picture as a separate file"
+            )
         stack = pages[0][None] if len(pages) == 1 else np.stack(pages) if is_read and pages else None
     except (cv2.error, MemoryError):
         stack = None
     if stack is None:
         raise ImportFormatError(
-            f"{where}: cannot be decoded: it is damaged, or all its pictures together are too large (above some 300 "
-            "MB); copy it again, or save each picture as a file of its own"
+            f"{where}: cannot be decoded, because it is corrupted or all its pictures together are too large (above "
+            "some 300 MB); copy it again, or save each picture as a separate file"
         )
     return None, {"pages": stack if stack.ndim == 3 else np.ascontiguousarray(stack[..., _RGB[stack.shape[-1]]])}
 
@@ -351,7 +359,7 @@ def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
         It is missing, of another kind or depth, turned by a mark that viewers follow, or transparent in part.
     """
     if not has_file(file_of(path)):
-        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+        raise ImportFormatError(f"{file_of(path)}: no such file, but the folder must contain it")
     if file_of(path) != path:
         return _counts_array((arrays or ArrayFiles()).picture(path), path)
     if path.suffix.lower() == ".npy":
@@ -360,8 +368,8 @@ def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
     is_common = content.startswith((b"\x89PNG", b"\xff\xd8"))
     if not is_common and not content.startswith((*TIFF_STARTS, _BMP_START)) and content[8:12] != b"WEBP":
         raise ImportFormatError(
-            f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another kind that is "
-            f"read (TIFF, WebP, BMP, npy, OpenEXR); {_conversion(path)}"
+            f"{path}: is neither PNG nor JPEG, and neither its name nor its content is that of another supported "
+            f"format (TIFF, WebP, BMP, npy, OpenEXR); {_conversion(path)}"
         )
     _require_upright(content, path)
     if is_common:
@@ -369,7 +377,7 @@ def pixels_of(path: Path, arrays: ArrayFiles | None = None) -> NDArray[Any]:
     pages = parse_in_child(f"{__name__}:decoded_pages", content, path, "a picture", ImportFormatError)[1]["pages"]
     if len(pages) > 1:
         raise ImportFormatError(
-            f"{path}: holds {len(pages)} pictures; write {path.name}::[{{press}}] where each is a press, or "
+            f"{path}: contains {len(pages)} pictures; write {path.name}::[{{press}}] if each picture is a press, or "
             f"{path.name}::[0] for the first"
         )
     page = pages[0]
@@ -388,18 +396,18 @@ def _conversion(path: Path) -> str:
     """Say how pictures of another kind, or a stack of them, become files that are read, one for each press."""
     kind = path.suffix.lower()
     if kind in (".png", ".jpg", ".jpeg"):  # a conversion by name would write over the originals
-        return "its content does not match the ending of its name: copy it again from its source"
+        return "its content does not match its file extension, so copy the file again from its source"
     if kind in (".mp4", ".mov", ".mkv", ".webm"):
         return CONVERT_VIDEO
     opened = _OPENED.get(kind)
     if opened is None:
         return (
-            "convert all pictures without loss, such as with "
-            f"'mogrify -format png *{path.suffix or '.tif'}', and name these"
+            f"convert all pictures without loss, such as with 'mogrify -format png *{path.suffix or '.tif'}', and "
+            "give the converted ones"
         )
     images = f"{opened.replace('FILE', repr(path.name))}['NAME']"
     return (
-        "it may hold many pictures: save each as a file of its own, as uint8 or uint16, in Python by "
+        "if it contains many pictures, save each as a uint8 or uint16 file, in Python by "
         f"[numpy.save(f'{{k}}.npy', image) for k, image in enumerate({images})]"
     )
 
@@ -411,8 +419,9 @@ def _counts_array(array: NDArray[Any], path: Path) -> NDArray[Any]:
     known = array.dtype in _BITS or array.dtype.kind == "f"
     if not known or array.ndim not in (2, 3) or array.shape[2:] not in ((), (1,), (3,)):
         raise ImportFormatError(
-            f"{path}: holds {array.dtype} of shape {array.shape}; uint8, uint16 or fractions of shape (rows, columns, "
-            "3), or (rows, columns) for grey, are read: save each picture as the counts of the camera"
+            f"{path}: contains {array.dtype} of shape {array.shape}, but only uint8, uint16 or fractions of shape "
+            "(rows, columns, 3), or (rows, columns) for grey, are supported; save each picture as the counts of the "
+            "camera"
         )
     return array[..., None] if array.ndim == 2 else array
 
@@ -426,7 +435,7 @@ def map_of(path: Path, arrays: ArrayFiles) -> Floats:
         It is missing, has several values per pixel, or holds some that are no numbers.
     """
     if not has_file(file_of(path)):
-        raise ImportFormatError(f"{file_of(path)}: no such file; the folder must hold it")
+        raise ImportFormatError(f"{file_of(path)}: no such file, but the folder must contain it")
     if path.suffix.lower() == ".exr":
         values = np.stack([np.asarray(channel) for channel in exr_pixels(path).values()], axis=-1)
     elif file_of(path) != path:
@@ -438,15 +447,15 @@ def map_of(path: Path, arrays: ArrayFiles) -> Floats:
         values = pixels_of(path)
     if not np.isfinite(values).all():  # before channels are compared: NaN differs from itself
         raise ImportFormatError(
-            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are not finite; fill them, or name the "
-            "press in presses.leave_out"
+            f"{path}: {100 * (~np.isfinite(values)).mean():.3g} % of its values are NaN or infinite; fill them, or "
+            "name the press in presses.leave_out"
         )
     if values.ndim == 3 and (values == values[..., :1]).all():
         values = values[..., 0]
     if values.ndim != 2:
         raise ImportFormatError(
-            f"{path}: a map needs one value per pixel, got the shape {values.shape}; colours of a picture of a map "
-            "cannot be read as values: give the map itself"
+            f"{path}: a map must have one value per pixel, got shape {values.shape}; give the map itself, because the "
+            "colours of a picture of a map cannot be read as values"
         )
     return values.astype(np.float64)
 
@@ -464,13 +473,15 @@ def in_colour(picture: NDArray[Any]) -> NDArray[Any]:
 def _in_rgb(picture: NDArray[Any], path: Path) -> NDArray[Any]:
     """Return what OpenCV decoded with its channels in the order of RGB, without an opaque alpha channel."""
     if picture.dtype not in _BITS:
-        raise ImportFormatError(f"{path}: holds {picture.dtype}; pictures of 8 or 16 bits are read: convert it")
+        raise ImportFormatError(
+            f"{path}: contains {picture.dtype}, but only pictures of 8 or 16 bits are supported; convert the picture"
+        )
     if picture.ndim == 2:
         return picture[..., None]
     if picture.shape[2] == 4 and (clear := picture[..., 3] < np.iinfo(picture.dtype).max).any():
         raise ImportFormatError(
-            f"{path}: {100 * clear.mean():.2g} % of its pixels are transparent, and their colours are not those of the "
-            "camera; save it without transparency, as the camera took it, or render it opaque"
+            f"{path}: {100 * clear.mean():.2g} % of its pixels are transparent, so their colours are not those of the "
+            "camera; save the picture without transparency, as the camera took it, or render it opaque"
         )
     return picture[..., 2::-1]
 
@@ -479,9 +490,9 @@ def _require_upright(content: bytes, path: Path) -> None:
     """Refuse a picture that viewers turn: some libraries do too."""
     if (turned := orientation(content)) != _UPRIGHT:
         raise ImportFormatError(
-            f"{path}: states that it is to be shown turned or mirrored (EXIF orientation {turned}). Some programs "
-            "follow this and others do not, so that the orientation of its labels is not known. Turn the pixels "
-            "themselves, as 'mogrify -auto-orient' does, and label the result"
+            f"{path}: is marked to be shown turned or mirrored (EXIF orientation {turned}). Some programs follow this "
+            "mark and others do not, so the orientation of the labels is unknown. Turn the pixels themselves, as "
+            "'mogrify -auto-orient' does, and label the result"
         )
 
 
@@ -519,7 +530,7 @@ def steps_of(image: NDArray[Any], path: Path, full_scale_rel: float) -> NDArray[
         would be seen.
     """
     if not np.isfinite(image).all() or image.min(initial=0.0) < 0.0:
-        raise ImportFormatError(f"{path}: holds values that are not finite or below 0; render or save it again")
+        raise ImportFormatError(f"{path}: contains NaN, infinite or negative values; render or save it again")
     largest, above = float(image.max()), float((image > full_scale_rel).mean())
     if above > _MOST_ABOVE_FULL or largest * 65535.0 < _LEAST_STEPS * full_scale_rel:
         what = (
@@ -529,8 +540,7 @@ def steps_of(image: NDArray[Any], path: Path, full_scale_rel: float) -> NDArray[
             f"picture.full_scale = {full_scale_rel:g}"
         )
         raise ImportFormatError(
-            f"{path}: {what}; its largest value is {largest:.4g}: give a full scale a little above the largest value "
-            "of all pictures"
+            f"{path}: {what}. Give a full scale a little above the largest value of all pictures (here {largest:.4g})"
         )
     return np.clip(np.rint(image / full_scale_rel * 65535.0), 0.0, 65535.0).astype(np.uint16)
 
@@ -552,9 +562,9 @@ def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
         ]
         if kinds[0] != kinds[1]:
             raise ImportFormatError(
-                f"{first_path} has {kinds[0]}, {path} has {kinds[1]}: values of the two cannot be compared; save the "
-                "pictures of all presses and those without contact in one format. If one is no picture of the camera, "
-                "such as a map of depths, let presses.files, presses.only or presses.leave_out pass it over"
+                f"{first_path} has {kinds[0]}, but {path} has {kinds[1]}, so their values cannot be compared; save all "
+                "pictures, with and without contact, in the same format. If one is no picture of the camera, such as a map "
+                "of depths, let presses.files, presses.only or presses.leave_out pass it over"
             )
 
 
@@ -563,10 +573,10 @@ def exr_rgb(path: Path) -> Floats:
     found: dict[str, NDArray[Any]] = exr_pixels(path)
     names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
     if not {"R", "G", "B"} <= names.keys():
-        raise ImportFormatError(f"{path}: needs the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
+        raise ImportFormatError(f"{path}: must have the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
     image = np.stack([np.asarray(found[names[c]], dtype=np.float64) for c in "RGB"], axis=-1)
     if image.ndim != 3 or not np.isfinite(image).all():
-        raise ImportFormatError(f"{path}: holds values that are not finite; render it again")
+        raise ImportFormatError(f"{path}: contains NaN or infinite values; render it again")
     return np.maximum(image, 0.0)
 
 

@@ -86,8 +86,8 @@ def fit_shading_table(presses: BallPresses, scale_dn: float, seed: int) -> Shadi
     count = len(presses.contacts)
     if count < FEWEST_PRESSES:
         raise SimulateError(
-            f"a shading table needs at least {FEWEST_PRESSES} presses, got {count}: with fewer it predicts "
-            "unseen presses badly; give more with --presses"
+            f"a shading table needs at least {FEWEST_PRESSES} presses, got {count}; with fewer, it predicts unseen "
+            "presses badly. Give more with --presses"
         )
     lessons = [_lesson(presses, k, scale_dn) for k in range(count)]
     rng = np.random.default_rng(seed)

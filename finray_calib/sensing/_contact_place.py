@@ -86,8 +86,8 @@ def contact_distance(capture: TactileCapture) -> Floats | None:
     inside = per_cell(filled.astype(np.float64), capture)[..., 0] > 0.5
     if not inside.any():
         raise CompareError(
-            f"{capture.name}: the outline of its contact encloses no pixel of the image of {raw_columns} x {raw_rows} "
-            "px; check whether rows and columns are exchanged"
+            f"{capture.name}: the contact outline encloses no pixel of the image of {raw_columns} x {raw_rows} px; "
+            "check whether rows and columns are exchanged"
         )
     return outline_distance(inside)
 
@@ -248,7 +248,8 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
     largest = float(min(largest_radius_px or np.inf, _LARGEST_SHARE * min(contact.shape[:2])))
     if largest < SMALLEST_RADIUS_PX:
         raise CompareError(
-            f"{capture.name}: no contact circle of {SMALLEST_RADIUS_PX:g} px or more fits; give it by --circles"
+            f"{capture.name}: no contact circle of {SMALLEST_RADIUS_PX:g} px or more fits; give the circle with "
+            "--circles"
         )
     smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest_radius_px if largest_radius_px else 0.0)
     side = -(-max(contact.shape[:2]) // LARGEST_SEARCHED_PX)
@@ -380,7 +381,7 @@ def with_far_surface(capture: TactileCapture) -> TactileCapture:
     """
     distance = contact_distance(capture)
     if distance is None:
-        raise CompareError("the place of its contact is not known, and so neither are the pixels far from it")
+        raise CompareError("the place of the contact is unknown, so the pixels far from it are unknown as well")
     rows, columns = distance.shape
     y, x = np.mgrid[:rows, :columns] / max(rows, columns) - 0.5
     powers = [(i, j) for i in range(_SURFACE_DEGREE + 1) for j in range(_SURFACE_DEGREE + 1 - i)]
@@ -388,7 +389,7 @@ def with_far_surface(capture: TactileCapture) -> TactileCapture:
     values = np.log(np.maximum(capture.contact.astype(np.float64), 0.5))
     far = (distance > _FAR_HALF_WIDTHS) & (capture.contact < 2**capture.bit_depth - 1).all(axis=-1)
     if far.mean() < 0.1:
-        raise CompareError("less than a tenth of the picture is far from its contact: give an image without contact")
+        raise CompareError("less than a tenth of the picture is far from the contact; give an image without contact")
     surface = np.exp(terms @ np.linalg.lstsq(terms[far], values[far], rcond=None)[0])
     limited = np.clip(np.rint(surface), 0.0, 2**capture.bit_depth - 1).astype(np.uint16)
     return capture.model_copy(update={"no_contact": limited, "no_contact_from": "pixels far from the contact"})

@@ -57,8 +57,8 @@ def require_plausible(board: CharucoBoard) -> None:
         unit = "metres" if board.square_mm < low else "micrometres"
         factor = 1e3 if board.square_mm < low else 1e-3
         raise CompareError(
-            f"board.square_mm = {board.square_mm:g} mm: squares of {low:g} to {high:g} mm can be used; was it given in "
-            f"{unit}? Then write square_mm = {board.square_mm * factor:g}, and marker_mm likewise"
+            f"board.square_mm = {board.square_mm:g} mm must be {low:g} to {high:g} mm; if it was given in {unit}, "
+            f"write square_mm = {board.square_mm * factor:g}, and change marker_mm likewise"
         )
 
 
@@ -88,9 +88,9 @@ def find_board(grey: NDArray[np.uint8], board: CharucoBoard, name: str) -> Board
     all_corners = np.asarray(opencv.getChessboardCorners())[:, :2]
     if len(ids) < LEAST_CORNERS:
         raise CompareError(
-            f"{name}: {len(ids)} of the {len(all_corners)} corners of the board are found, but "
-            f"{LEAST_CORNERS} are needed. Is it a ChArUco board of {board.squares[0]} x {board.squares[1]} "
-            f"squares of {board.dictionary}? Light it evenly, avoid glare and blur, and bring it nearer"
+            f"{name}: only {len(ids)} of the {len(all_corners)} corners of the board were found, but at least "
+            f"{LEAST_CORNERS} are needed. Check that it is a ChArUco board of {board.squares[0]} x {board.squares[1]} "
+            f"squares of {board.dictionary}, light it evenly, avoid glare and blur, and bring it nearer"
         )
     view = BoardView(name, all_corners[ids].astype(np.float64), pixels, mirrored)
     _require_spread(view)
@@ -104,8 +104,8 @@ def _opencv_board(board: CharucoBoard) -> Any:
     markers = board.squares[0] * board.squares[1] // 2
     if markers > len(dictionary.bytesList):
         raise CompareError(
-            f"board.dictionary = {board.dictionary} has {len(dictionary.bytesList)} markers, but a board of "
-            f"{board.squares[0]} x {board.squares[1]} squares needs {markers}: give the dictionary it was "
+            f"board.dictionary = {board.dictionary} has only {len(dictionary.bytesList)} markers, but a board of "
+            f"{board.squares[0]} x {board.squares[1]} squares needs {markers}; give the dictionary that the board was "
             "printed with"
         )
     return cv2.aruco.CharucoBoard(board.squares, board.square_mm, board.marker_mm, dictionary)
@@ -126,8 +126,8 @@ def _require_spread(view: BoardView) -> None:
     singular = np.linalg.svd(centred, compute_uv=False)
     if singular[1] < 0.1 * singular[0]:
         raise CompareError(
-            f"{view.name}: the {len(view.pixels)} corners that are found lie on one line; bring more of the board into "
-            "the picture"
+            f"{view.name}: the {len(view.pixels)} corners found lie on one line; bring more of the board into the "
+            "picture"
         )
 
 
@@ -138,8 +138,8 @@ def _require_large(view: BoardView, board: CharucoBoard) -> None:
     square_px = board.square_mm * float(np.sqrt(abs(np.linalg.det(affine))))
     if square_px < LEAST_SQUARE_PX:
         raise CompareError(
-            f"{view.name}: the board is too small in the picture: a square has {square_px:.1f} px, but "
-            f"{LEAST_SQUARE_PX:g} px are needed; bring it nearer, or print larger squares"
+            f"{view.name}: the board is too small in the picture, because a square has only {square_px:.1f} px, but "
+            f"at least {LEAST_SQUARE_PX:g} px are needed; bring the board nearer, or print larger squares"
         )
 
 
@@ -217,25 +217,23 @@ def calibrate_lens(views: Sequence[BoardView], size_px: tuple[int, int], model: 
     """
     if len(views) < LEAST_VIEWS:
         raise CompareError(
-            f"{len(views)} usable pictures of the board do not determine a lens: give {LEAST_VIEWS} or more (ten are "
-            "good), each with the board turned and tilted in a different way"
+            f"{len(views)} usable pictures of the board are too few to calibrate a lens; give at least {LEAST_VIEWS} "
+            "(ten is a good number), each with the board turned and tilted differently"
         )
     found = adjust(views, size_px, model, *_start(views, size_px, model))
     rms = float(np.sqrt((found.view_rms_px**2).mean()))
     if not rms <= LARGEST_RMS_PX:
         worst = int(np.argmax(found.view_rms_px))
         raise CompareError(
-            f"the {model} model leaves {rms:.1f} px between the corners and where they should be "
-            f"({views[worst].name}: {found.view_rms_px[worst]:.1f} px), but at most {LARGEST_RMS_PX:g} px are "
-            "allowed: check that the board is flat, that squares and dictionary are those that were printed, and "
-            "that the focus was the same in all pictures"
+            f"the {model} model leaves residuals of {rms:.1f} px at the corners ({found.view_rms_px[worst]:.1f} px in "
+            f"{views[worst].name}), but at most {LARGEST_RMS_PX:g} px are allowed. Check that the board is flat, that "
+            "squares and dictionary are those that were printed, and that the focus was the same in all pictures"
         )
     if not found.focal_u_rel <= LARGEST_FOCAL_U_REL:
         raise CompareError(
             f"the standard uncertainty of the focal length is {100 * found.focal_u_rel:.0f} %, but at most "
-            f"{100 * LARGEST_FOCAL_U_REL:.0f} % is allowed: the poses of the board are too similar. Take "
-            "pictures with the board tilted by 20 to 45 deg in several directions, some reaching into the "
-            "corners"
+            f"{100 * LARGEST_FOCAL_U_REL:.0f} % is allowed; the poses of the board are too similar. Take pictures "
+            "with the board tilted by 20 to 45 deg in several directions, some reaching into the corners"
         )
     return found
 
@@ -333,8 +331,8 @@ def _described(
         scaled = jacobian / scale
     if freedom < 1 or not np.isfinite(scaled).all() or np.linalg.matrix_rank(scaled) < len(state):
         raise CompareError(
-            f"the corners do not determine a {model} lens and the places of the board: take more pictures, with the "
-            "board tilted in several directions"
+            f"the corners do not determine a {model} lens and the positions of the board; take more pictures, with "
+            "the board tilted in several directions"
         )
     covariance = variance * np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale)
     poses = state[n:].reshape(-1, POSE)
@@ -364,7 +362,7 @@ def _start(views: Sequence[BoardView], size_px: tuple[int, int], model: Distorti
             _, matrix, coefficients, turns, shifts = cv2.calibrateCamera(places, pixels, size_px, None, None)
     except cv2.error as error:
         raise CompareError(
-            f"the {model} calibration fails ({' '.join(str(error.err).split())}): take more pictures, with the board "
+            f"the {model} calibration failed ({' '.join(str(error.err).split())}); take more pictures, with the board "
             "turned and tilted in several directions, some reaching into the corners"
         ) from None
     lens = np.concatenate(

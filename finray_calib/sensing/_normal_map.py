@@ -124,8 +124,8 @@ class NormalMap:
             if image.shape[:2] == (rows // block, columns // block):
                 return
         raise CompareError(
-            f"the normal map was fitted to colour images of {columns} x {rows} px, got {size_in_words(image)}: fit a "
-            "map to presses of this camera"
+            f"the normal map was fitted to colour images of {columns} x {rows} px, but this image has "
+            f"{size_in_words(image)}; fit a map to presses of this camera"
         )
 
 
@@ -322,8 +322,8 @@ def sensing_error(
     used: Mask = region & usable
     if not used.any():
         raise CompareError(
-            "the region has no pixel that is neither clipped nor missing in render and capture; reduce the exposure or "
-            "check the contact's place"
+            "every pixel of the region is clipped or missing in the render or the capture; reduce the exposure, or "
+            "check the place of the contact"
         )
     angle = angles_deg(slopes[0], slopes[1])
     # a clipped pixel breaks both surfaces at the same place
@@ -375,8 +375,9 @@ def normal_sigma_deg(jacobian_e: Floats, variance_e2: Floats) -> Floats:
     """
     if jacobian_e.shape != (*variance_e2.shape, 2) or not (variance_e2 > 0.0).all():
         raise CompareError(
-            f"the Fisher information needs derivatives (..., channel, 2) and positive variances (..., channel); got "
-            f"{jacobian_e.shape} and {variance_e2.shape}, least variance {variance_e2.min():g} e^2. Check the table"
+            "the Fisher information needs derivatives of shape (..., channel, 2) and positive variances of shape "
+            f"(..., channel), got shapes {jacobian_e.shape} and {variance_e2.shape} with a least variance of "
+            f"{variance_e2.min():g} e^2. Check the table"
         )
     information = np.einsum("...ci,...c,...cj->...ij", jacobian_e, 1.0 / variance_e2, jacobian_e)
     a, b, c = information[..., 0, 0], information[..., 1, 1], information[..., 0, 1]
@@ -429,8 +430,8 @@ def held_out_normal_error_deg(
     _check_table(signals, places_mm, slopes, folds, degree)
     if taught is not None and taught.shape != signals.shape:
         raise CompareError(
-            f"the calibrated finger has signals {taught.shape}, this one {signals.shape}: give "
-            f"signals of the same shape"
+            f"the calibrated finger has signals of shape {taught.shape}, but this finger has signals of shape "
+            f"{signals.shape}; give signals of the same shape"
         )
     points, facets, frames, _ = signals.shape
     place = np.broadcast_to(places_mm[:, None, None], (points, facets, frames, 2))
@@ -469,8 +470,8 @@ def uniformity(luminance: Floats) -> float:
     """
     if luminance.size == 0 or not (luminance > 0.0).all():
         raise CompareError(
-            f"the uniformity needs positive luminances of at least one place, got {luminance.size} with the least "
-            f"{luminance.min(initial=np.inf):g}. Check the light panel"
+            f"the uniformity needs positive luminances at one place or more, got {luminance.size} values with a "
+            f"minimum of {luminance.min(initial=np.inf):g}. Check the light panel"
         )
     low, high = np.quantile(luminance, [0.05, 0.95])
     return float(low / high)
@@ -496,17 +497,17 @@ def _check_table(signals: Floats, places_mm: Floats, slopes: Floats, folds: int,
     """Refuse a table that allows no calibration."""
     if signals.ndim != 4 or places_mm.shape != (signals.shape[0], 2) or slopes.shape != (signals.shape[1], 2):
         raise CompareError(
-            f"a calibration table needs signals (point, facet, frame, channel), places (point, 2) and slopes (facet, "
-            f"2); got {signals.shape}, {places_mm.shape} and {slopes.shape}"
+            "a calibration table needs signals of shape (point, facet, frame, channel), places of shape (point, 2) "
+            f"and slopes of shape (facet, 2), got {signals.shape}, {places_mm.shape} and {slopes.shape}"
         )
     variables = signals.shape[3] + 2
     terms = len(_monomials(np.zeros((1, variables)), degree)[0])
     points = signals.shape[0]
     if not 2 <= folds <= points:
-        raise CompareError(f"held-out points need 2 to {points} folds for {points} points, got {folds}")
+        raise CompareError(f"the number of folds must be 2 to {points} for {points} held-out points, got {folds}")
     rows = (points - -(-points // folds)) * signals.shape[1] * signals.shape[2]
     if rows < terms:
         raise CompareError(
-            f"the calibration has {rows} rows for {terms} terms of a polynomial of degree {degree}; take more points, "
-            "facets or frames, or a smaller degree"
+            f"the calibration has only {rows} rows, but needs at least {terms}, one for each term of a polynomial of "
+            f"degree {degree}; take more points, facets or frames, or a smaller degree"
         )

@@ -237,14 +237,16 @@ def _lessons(presses: Sequence[CalibrationPress], seed: int) -> list[_Lesson]:
     """Check the presses and choose their pixels."""
     if len(presses) < MINIMUM_PRESSES:
         raise CompareError(
-            f"a normal map needs at least {MINIMUM_PRESSES} ball presses, got {len(presses)}: with fewer its score "
-            f"on unseen presses depends on chance; capture more, spread over the pad and over depths"
+            f"a normal map needs at least {MINIMUM_PRESSES} ball presses, got {len(presses)}; with fewer, its score "
+            "on unseen presses depends on chance. Capture more, spread over the pad and over depths"
         )
     rng = np.random.default_rng(seed)
     shape = presses[0].contact.shape[:2]
     lessons = [_lesson(press, f"press {k}", shape, rng) for k, press in enumerate(presses, start=1)]
     if not any(np.ptp(lesson.change) > 0.0 for lesson in lessons):
-        raise CompareError("no press changes the picture: contact and no-contact images are the same; check the files")
+        raise CompareError(
+            "no press changes the picture, because contact and no-contact images are the same; check the files"
+        )
     return lessons
 
 
@@ -257,8 +259,9 @@ def _lesson(press: CalibrationPress, name: str, shape: tuple[int, ...], rng: np.
     inside = _choose(finite & (radii <= _INSIDE_REL), rng)
     if not inside.size:
         raise CompareError(
-            f"{name}: no usable pixel in its contact circle of {press.radius_px:g} px around row {press.row_px:g}, "
-            f"column {press.column_px:g} in a picture of {shape[1]} x {shape[0]} px; check circle and exposure"
+            f"{name}: the contact circle of {press.radius_px:g} px around row {press.row_px:g}, column "
+            f"{press.column_px:g} has no usable pixel in a picture of {shape[1]} x {shape[0]} px; check the circle "
+            "and the exposure"
         )
     chosen = np.concatenate([inside, _choose(finite & (radii >= _FLAT_FROM_REL), rng)])
     change = relative_change(press.contact, press.no_contact).reshape(-1, 3)[chosen]
@@ -274,13 +277,13 @@ def _check_press(press: CalibrationPress, name: str, shape: tuple[int, ...]) -> 
     for kind, image in (("contact", press.contact), ("no-contact", press.no_contact)):
         if image.shape != (*shape, 3):
             raise CompareError(
-                f"{name}: its {kind} image has {size_in_words(image)}, the first press {shape[1]} x {shape[0]} px and "
-                "3 colours; a normal map is fitted to colour images of one camera"
+                f"{name}: the {kind} image has {size_in_words(image)}, but the first press has {shape[1]} x {shape[0]} "
+                "px and 3 colours; fit a normal map only to colour images of one camera"
             )
     if not 0.0 < press.radius_px < press.ball_radius_px:
         raise CompareError(
-            f"{name}: its contact circle of {press.radius_px:g} px must be smaller than the ball of "
-            f"{press.ball_radius_px:.4g} px radius; check the ball's size (diameter or radius?) and mm per px"
+            f"{name}: the contact circle of {press.radius_px:g} px must be smaller than the ball of "
+            f"{press.ball_radius_px:.4g} px radius; check the size of the ball (diameter or radius?) and mm per px"
         )
 
 
@@ -377,16 +380,16 @@ def require_matching_capture(record: NormalMapRecord, capture: TactileCapture) -
     """
     if record.encoding != capture.encoding:
         raise CompareError(
-            f"{capture.name} holds {capture.encoding} values, but the normal map '{record.name}' was trained on "
-            f"{record.encoding} ones: fit a map to presses with the same camera settings"
+            f"{capture.name} has {capture.encoding} values, but the normal map '{record.name}' was trained on "
+            f"{record.encoding} values; fit a map to presses with the same camera settings"
         )
     if capture.mm_per_px is not None:
         scale_mm = capture.mm_per_px * _cell_px(capture)
         if not np.isclose(scale_mm, record.mm_per_px, rtol=_NEAR_SCALE_REL, atol=0.0):
             raise CompareError(
-                f"{capture.name} has {scale_mm:.4g} mm per pixel, the normal map '{record.name}' "
-                f"{record.mm_per_px:.4g}: slopes and depths would be wrong; fit the map to presses at this distance, "
-                "or give the measured scale (--scale) if the capture states a planned one"
+                f"{capture.name} has {scale_mm:.4g} mm per pixel, but the normal map '{record.name}' has "
+                f"{record.mm_per_px:.4g} mm per pixel, so slopes and depths would be wrong; fit the map to presses at "
+                "this distance, or give the measured scale (--scale) if the capture states a planned one"
             )
 
 
@@ -421,13 +424,13 @@ def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
     circle = capture.contact_circle
     if capture.indenter.shape != "ball" or circle is None:
         raise CompareError(
-            f"{capture.name}: a normal map is trained on presses of a ball with a known contact circle; this press is "
-            f"by a {capture.indenter.shape} {'without' if circle is None else 'with'} one"
+            f"{capture.name}: a normal map is trained only on presses of a ball with a known contact circle, but this "
+            f"press is by a {capture.indenter.shape} {('without' if circle is None else 'with')} a contact circle"
         )
     if capture.indenter.radius_mm is None:
         raise CompareError(
-            f"{capture.name}: the ball's radius is missing, so its slopes are not known; import the press again with "
-            "the ball's diameter"
+            f"{capture.name}: the radius of the ball is missing, so the slopes are unknown; import the press again "
+            "with the ball's diameter"
         )
     _scale_mm(capture)
     return circle, capture.indenter.radius_mm
@@ -436,7 +439,9 @@ def require_ball_press(capture: TactileCapture) -> tuple[ContactCircle, float]:
 def _scale_mm(capture: TactileCapture) -> float:
     """Return mm per raw pixel."""
     if capture.mm_per_px is None:
-        raise CompareError(f"{capture.name}: mm_per_px is missing, so the ball's size in pixels is not known; add it")
+        raise CompareError(
+            f"{capture.name}: mm_per_px is missing, so the size of the ball in pixels is unknown; add mm_per_px"
+        )
     return capture.mm_per_px
 
 
@@ -453,8 +458,8 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         digest = contact_sha256(capture)
         if digest in name_of:
             raise CompareError(
-                f"{name_of[digest]} and {capture.name} are the same image: a press that is given twice would "
-                "be judged by a map that was trained on it; give each press once"
+                f"{name_of[digest]} and {capture.name} are the same image, so the map would be judged by a press that "
+                "it was trained on; give each press only once"
             )
         name_of[digest] = capture.name
     for capture in captures[1:]:
@@ -462,13 +467,13 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
             one, other = getattr(first, field), getattr(capture, field)
             if one != other:
                 raise CompareError(
-                    f"{capture.name} has {field} {other}, {first.name} {one}: a normal map is trained on captures of "
-                    "one camera with one setting"
+                    f"{capture.name} has {field} {other}, but {first.name} has {one}; train a normal map only on "
+                    "captures of one camera with one setting"
                 )
         if not np.isclose(_scale_mm(capture), _scale_mm(first), rtol=_SAME_SCALE_REL, atol=0.0):
             raise CompareError(
-                f"{capture.name} has {_scale_mm(capture):g} mm per px, {first.name} {_scale_mm(first):g}: a normal map "
-                "is trained on captures of one camera at one distance"
+                f"{capture.name} has {_scale_mm(capture):g} mm per px, but {first.name} has {_scale_mm(first):g} mm "
+                "per px; train a normal map only on captures of one camera at one distance"
             )
 
 
@@ -516,8 +521,8 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     if not deepest > LEAST_DEPTH_TO_U * (u_mm or 0.0):
         raise CompareError(
             f"{capture.name}: the map '{record.name}' senses no depth beyond its uncertainty (largest {deepest:.3g} "
-            f"mm, u = {u_mm or 0.0:.2g} mm): check that the press is in view, and that contact and no-contact image "
-            "are of one session"
+            f"mm, u = {u_mm or 0.0:.2g} mm); check that the press is in view, and that the contact and no-contact "
+            "images are of one session"
         )
     chosen = _contact_level_mm(contact_depth_mm, deepest, u_mm or 0.0)
     touched: NDArray[np.bool_] = np.asarray(depth > chosen, dtype=np.bool_)
@@ -554,8 +559,8 @@ def _contact_level_mm(asked_mm: float | None, deepest_mm: float, u_mm: float) ->
         return min(max(CONTACT_SHARE * deepest_mm, _TIMES_U * u_mm), 0.5 * deepest_mm)
     if not 0.0 < asked_mm < deepest_mm:
         raise CompareError(
-            f"the level of the contact must lie above 0 and below the largest depth, {deepest_mm:.3g} mm, got "
-            f"{asked_mm:g} mm; correct --contact-depth-mm"
+            f"the contact level (--contact-depth-mm) must be above 0 and below the largest depth, {deepest_mm:.3g} "
+            f"mm, got {asked_mm:g} mm"
         )
     return asked_mm
 
@@ -610,28 +615,30 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     notes = []
     if taught:
         notes.append(
-            f"the map '{record.name}' was trained on this press: its result does not hold for other presses, and the "
-            "stated uncertainty is too large for it; train with other presses"
+            f"the map '{record.name}' was trained on this press, so its result does not hold for other presses, and "
+            "its stated uncertainty is too large for this press; train the map with other presses"
         )
     if taught is None:
-        notes.append("an older version made the map: whether this press trained it is not known; train it again")
+        notes.append(
+            "an older version made the map, so it is unknown whether this press trained it; train the map again"
+        )
     if record.held_out_level_mm is None and record.held_out_depth_rms_mm is not None:
         notes.append(
-            "the error of the depth's zero level around a contact is not known: the stated uncertainty holds only "
-            "the scatter at the border of the picture; train the map again, with contacts around which 3.5 radii are "
-            "in view"
+            "the error of the zero level of the depth around a contact is unknown, so the stated uncertainty "
+            "includes only the scatter at the border of the picture; train the map again, with contacts around which "
+            "3.5 radii are in view"
         )
     if record.held_out_depth_rms_mm is None:
-        notes.append("an older version made the map: the uncertainty of the depth is not known; train it again")
+        notes.append("an older version made the map, so the uncertainty of the depth is unknown; train the map again")
     if shares.outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no "
-            "training press did; there the map keeps its last value: train with deeper presses, or at more places"
+            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no training "
+            "press did, and the map keeps its last value there; train with deeper presses, or at more places"
         )
     if shares.clipped_share > _CLIPPED_TOLD:
         notes.append(
             f"{100 * shares.clipped_share:.0f} % of the contact's pixels are clipped and take their slope from their "
-            f"neighbours: use a shorter exposure"
+            "neighbours; use a shorter exposure"
         )
     notes.append(
         "depth is measured from the median over the border of the picture, where the gel is assumed to be untouched; "
@@ -639,7 +646,7 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     )
     if capture.no_contact_from != "image":
         notes.append(
-            f"the image without contact is a substitute ({capture.no_contact_from}): its errors also change the depth"
+            f"the image without contact is a substitute ({capture.no_contact_from}), whose errors also change the depth"
         )
     return tuple(notes)
 

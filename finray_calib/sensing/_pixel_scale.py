@@ -353,8 +353,8 @@ def resampled_scatter_rel(
     usable = np.array([v for v in values if np.isfinite(v)])
     if len(usable) < RESAMPLINGS // 2:
         raise CompareError(
-            "there are too few pictures: without one or two of them the lens is not determined. Take more, with the "
-            "board tilted in several directions"
+            "there are too few pictures, because the lens is not determined without one or two of them. Take more "
+            "pictures, with the board tilted in several directions"
         )
     # quantiles: a draw of few alike pictures may lie far out
     low, high = np.quantile(usable, [0.1587, 0.8413])
@@ -382,7 +382,7 @@ def widened_factor(resampled_u_rel: float, at_middle: ScaleDraws) -> float:
     if ratio > LARGEST_WIDENED_FACTOR:
         raise CompareError(
             f"when the pictures are resampled (bootstrap), the scale scatters {ratio:.0f} times as much as the errors "
-            f"of corners and lens explain, and at most {LARGEST_WIDENED_FACTOR:g} times is allowed: one or two "
-            "pictures alone determine the lens, or the board is not rigid. Take more pictures, of a stiff board"
+            f"of corners and lens explain, but at most {LARGEST_WIDENED_FACTOR:g} times is allowed. One or two "
+            "pictures alone determine the lens, or the board is not rigid; take more pictures, of a stiff board"
         )
     return ratio if ratio > _SCATTER_FACTOR else 1.0

@@ -97,8 +97,8 @@ def pixel_scale(
     require_plausible(board)
     if len(lens_views) < LEAST_VIEWS:
         raise CompareError(
-            f"{len(lens_views)} usable pictures of the board besides that on the pad: give {LEAST_VIEWS} or "
-            "more (ten are good), each with the board turned and tilted in a different way"
+            f"{len(lens_views)} usable pictures of the board besides the picture on the pad are too few; give at "
+            f"least {LEAST_VIEWS} (ten is a good number), each with the board turned and tilted differently"
         )
     views = [pad, *lens_views]
     found = _best_lens(views, size_px, model)
@@ -193,8 +193,9 @@ def _require_facing(found: LensCalibration, pad: BoardView) -> None:
     angle_deg = float(np.rad2deg(np.arccos(min(cosine, 1.0))))
     if angle_deg > MOST_OBLIQUE_DEG:
         raise CompareError(
-            f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, and at most "
-            f"{MOST_OBLIQUE_DEG:g} deg is allowed: check that it lies flat on the pad, and that this is its picture"
+            f"{pad.name}: the board on the pad is seen at {angle_deg:.0f} deg from its normal, but at most "
+            f"{MOST_OBLIQUE_DEG:g} deg is allowed; check that the board lies flat on the pad, and that this picture "
+            "shows it there"
         )
 
 
@@ -224,12 +225,12 @@ def _notes(
     others = float(np.sqrt(np.mean([r.rms_px**2 for r in residuals[1:]])))
     if residuals[0].rms_px > _WORSE_FACTOR * others:
         notes.append(
-            f"{residuals[0].file}: the board on the pad fits to {residuals[0].rms_px:.2f} px, in the other pictures to "
-            f"{others:.2f} px: it may have been taken through the gel or a mirror that is not flat, or with another "
-            "focus"
+            f"{residuals[0].file}: the board on the pad fits to {residuals[0].rms_px:.2f} px, but the other pictures "
+            f"fit to {others:.2f} px; the picture may have been taken through the gel or a mirror that is not flat, "
+            "or with another focus"
         )
     if len({r.mirrored for r in residuals}) > 1:
-        notes.append("some pictures show the board mirrored, others do not; a flat mirror changes no length")
+        notes.append("some pictures show the board mirrored and others do not; a flat mirror changes no length")
     notes.append(
         f"the scale is valid in the plane of the board, for the untouched pad; lens: {found.model} model, "
         f"{len(residuals) - 1} pictures"
@@ -272,18 +273,18 @@ def patch_scale(
     patch, pad = _thinned(_raw_pixels(distance <= 1.0, cell)), _thinned(_raw_pixels(np.isfinite(distance), cell))
     if not len(patch):
         raise CompareError(
-            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so that the patch has "
-            "no size: check that the contact is in the picture"
+            f"{capture.name}: no pixel of the render lies within 1 half-width of the contact, so the patch has no "
+            "size; check that the contact is in the picture"
         )
     middle_px = patch.mean(axis=0)
     at_middle = plane_scale(plane, middle_px[None])
     seen = scales_only(plane, np.concatenate([patch, pad]))
     if not at_middle.u_rel.max() <= LARGEST_U_REL:
         raise CompareError(
-            f"{capture.name}: at column {middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, "
-            f"the pixel scale is not known to {100 * LARGEST_U_REL:.0f} %: the camera does not see the plane "
-            "of the pad there, or no picture shows the board near it. If the pixel scale belongs to this camera, lay "
-            "the board where the patch is and measure again"
+            f"{capture.name}: the pixel scale is not known to {100 * LARGEST_U_REL:.0f} % at column "
+            f"{middle_px[0]:.0f}, row {middle_px[1]:.0f}, the middle of the patch, because the camera does not see the "
+            "plane of the pad there, or no picture shows the board near it. If the pixel scale belongs to this "
+            "camera, lay the board where the patch is and measure again"
         )
     along = _along_picture(plane_places_mm(plane, middle_px + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     side_mm, u_rel = cell * at_middle.mm_per_px[0, :2], at_middle.u_rel[0, :2]
@@ -337,9 +338,9 @@ def scale_finding(found: PatchScale, capture: TactileCapture) -> str | None:
     if apart <= allowed:
         return None
     return (
-        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, but the pixel scale is "
-        f"{measured:.4g} at the patch (u = {100 * u_rel:.1f} %): one of them belongs to another camera, place "
-        "or picture size"
+        f"scale: {capture.name} states {capture.mm_per_px:.4g} mm per pixel, but the pixel scale at the patch is "
+        f"{measured:.4g} mm per pixel (u = {100 * u_rel:.1f} %); one of them belongs to another camera, place or "
+        "picture size"
     )
 
 
@@ -349,9 +350,8 @@ def _require_same_picture(record: PixelScale, capture: TactileCapture) -> None:
     lens = record.calibration
     if (lens.width_px, lens.height_px) != (columns, rows):
         raise CompareError(
-            f"the pixel scale was measured on pictures of {lens.width_px} x {lens.height_px} px, but "
-            f"{capture.name} has {columns} x {rows} px: measure it with the camera of the capture, at its "
-            "full frame"
+            f"the pixel scale was measured on pictures of {lens.width_px} x {lens.height_px} px, but {capture.name} "
+            f"has {columns} x {rows} px; measure it with the camera of the capture, at its full frame"
         )
 
 

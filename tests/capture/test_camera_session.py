@@ -201,12 +201,12 @@ def test_session_reads_back_with_its_checksums(captured: Captured) -> None:
 def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Path) -> None:
     out, _, _ = captured
     assert session_kind(out) == "camera"
-    with pytest.raises(RecordError, match="holds a camera session, where a capture session is needed"):
+    with pytest.raises(RecordError, match="contains a camera session, but a capture session is needed"):
         read_session(out)
     paint = paint_plan("red", rig.camera).model_copy(update={"filters": ("450",), "bracket": (1.0,)})
     capture_paint_session(rig, paint, SessionRequest(tmp_path / "paint", "finray capture"))
     assert session_kind(tmp_path / "paint") == "paint"
-    with pytest.raises(RecordError, match="holds a capture session, where a camera session is needed"):
+    with pytest.raises(RecordError, match="contains a capture session, but a camera session is needed"):
         read_camera_session(tmp_path / "paint")
 
 

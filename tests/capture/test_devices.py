@@ -109,13 +109,13 @@ def test_measured_response_is_read_and_held_ends_are_noted(rig: RigFile, tmp_pat
     with open_rig(with_response(rig, "camera.csv"), tmp_path) as opened:
         assert opened.camera_response[1](500.0) == pytest.approx(0.4)
         assert len(opened.notes) == 3
-        assert all("held for" in note and "filter 405" in note for note in opened.notes)
+        assert all("its end value is used" in note and "filter 405" in note for note in opened.notes)
 
 
 def test_response_that_misses_a_filter_is_refused(rig: RigFile, tmp_path: Path) -> None:
     write_response(tmp_path / "narrow.csv", 420, 700)
     with (
-        pytest.raises(CurveError, match=r"covers 420 to 700 nm, but 100 % of the weight of filter 405"),
+        pytest.raises(CurveError, match=r"covers only 420 to 700 nm, and 100 % of the weight of filter 405"),
         open_rig(with_response(rig, "narrow.csv"), tmp_path),
     ):
         pass
@@ -125,7 +125,7 @@ def test_filter_beyond_the_assumed_response_is_refused(rig: RigFile) -> None:
     wheel = rig.filter_wheel
     infrared = BandPassFilter(slot=1, name="850", center_nm=850.0)
     beyond = rig.model_copy(update={"filter_wheel": wheel.model_copy(update={"filters": (infrared,)})})
-    with pytest.raises(CurveError, match=r"covers 380 to 780 nm"), open_rig(beyond, Path()):
+    with pytest.raises(CurveError, match=r"covers only 380 to 780 nm"), open_rig(beyond, Path()):
         pass
 
 

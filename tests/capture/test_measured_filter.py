@@ -33,7 +33,7 @@ def test_session_stores_the_curve_and_hands_it_to_the_band_signals(rig: RigFile,
     np.testing.assert_array_equal(session.filter_curves["600"].values, [0.0, 0.1, 0.8, 0.9, 0.3, 0.0])
     assert session.provenance is not None
     assert session.provenance.input_sha256["f600.csv"] == sha256_of(tmp_path / "f600.csv")
-    assert any("measured transmission f600.csv" in note for note in session.notes)
+    assert any("transmission measured (f600.csv)" in note for note in session.notes)
     optics = rig_optics(session)
     assert [f.curve for f in optics.filters] == [None, "f600.csv"]
     assert optics.filter_curves["600"]([598.0]) == pytest.approx([0.8])

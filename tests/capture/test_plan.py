@@ -77,8 +77,8 @@ def test_tilted_steps_come_last_and_say_their_tilt(plan: PaintPlan, rig: RigFile
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"second_tilt_deg": 30.0}, "go together"),
-        ({"second_tilt_filters": ("450", "600")}, "go together"),
+        ({"second_tilt_deg": 30.0}, "must be given together"),
+        ({"second_tilt_filters": ("450", "600")}, "must be given together"),
         ({"second_tilt_deg": 30.0, "second_tilt_filters": ("450", "450")}, "second_tilt_filters: '450' is named twice"),
         ({"second_tilt_deg": 80.0, "second_tilt_filters": ("450", "600")}, "less than or equal to 75"),
     ],

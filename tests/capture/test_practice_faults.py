@@ -231,12 +231,12 @@ def test_the_fault_stands_in_the_notes_of_a_session(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "why"),
-    [("sliping wheel", "did you mean 'slipping wheel'"), ("", "is not a practice fault; .*allowed are slipping wheel"),
-     ("dirty filter, 30", "a number from 0.1 to 90 with a space and its unit, such as 'dirty filter, 30 %'"),
+    [("sliping wheel", "did you mean 'slipping wheel'"), ("", "is not a practice fault; .*names are slipping wheel"),
+     ("dirty filter, 30", "a number from 0.1 to 90, a space and the unit, such as 'dirty filter, 30 %'"),
      ("dirty filter, 95 %", "from 0.1 to 90"), ("lamp ageing, nan K", "from 1 to 500"),
-     ("stray light, 10 %", "such as 'stray light, 10 DN/s'"), ("exchanged filters, 500", "name the two filters"),
-     ("exchanged filters, 500 and 500", "name the two filters"),
-     ("exchanged filters, 500 and 610", "there is no filter '610'; the filters are 405, 450")],
+     ("stray light, 10 %", "such as 'stray light, 10 DN/s'"), ("exchanged filters, 500", "names of two different"),
+     ("exchanged filters, 500 and 500", "needs the names of two different filters"),
+     ("exchanged filters, 500 and 610", "no filter is named '610'; valid names are 405, 450")],
 )  # fmt: skip
 def test_a_line_that_names_no_fault_is_refused_with_what_is_allowed(tmp_path, text, why):
     lay_out_folder(tmp_path / "bad", None)

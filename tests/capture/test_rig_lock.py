@@ -225,10 +225,10 @@ def test_what_is_no_device_is_not_locked() -> None:
 
 
 def test_laser_and_lamp_are_two_switches() -> None:
-    with pytest.raises(FieldError, match=r"laser and lamp are both driver 'arduino' at socket://board:1"):
+    with pytest.raises(FieldError, match=r"laser and lamp have the same driver 'arduino' and address socket://board:1"):
         real_rig("socket://wheel:1", LampSettings(driver="arduino", address="socket://board:1"))
 
 
 def test_wheel_and_laser_are_at_two_ports() -> None:
-    with pytest.raises(FieldError, match=r"filter_wheel and laser are both at socket://board:1"):
+    with pytest.raises(FieldError, match=r"filter_wheel and laser have the same address, socket://board:1"):
         real_rig("socket://board:1", LampSettings(driver="manual"))

@@ -242,17 +242,17 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
 @pytest.mark.parametrize(
     ("file", "edit", "words"),
     [
-        ("rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 6.0 "), "until_force_n must be below"),
+        ("rig-presses.toml", ("until_force_n = 1.0 ", "until_force_n = 6.0 "), "until_force_n = 6 N must be below"),
         ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 90.0"), "outside the stage's travel of 0 to 80 mm"),
         ("rig-presses.toml", ("position_mm = 8.0", "position_mm = 8.0\ntilt_deg = 5.0"), "the stage cannot tilt"),
         (
             "rig.toml",
             ("press_travel_mm = [-9.0, 0.0]", "press_travel_mm = [0.0, -9.0]"),
-            "write the lowest position first",
+            "write the lower position first",
         ),
         ("rig.toml", ('pad_axis = "X"', 'pad_axis = "Z"'), "press_axis and pad_axis are both Z"),
         ("rig.toml", ("force_limit_n = 5.0", "force_limit_n = 50.0"), "must not exceed capacity_n = 9.8 N"),
-        ("rig.toml", ("clear_mm = 0.0", "clear_mm = -9.0"), "not at its end in the pad"),
+        ("rig.toml", ("clear_mm = 0.0", "clear_mm = -9.0"), "not at the end that lies in the pad"),
         ("rig.toml", ("# practice_fault = ...", 'practice_fault = "loose cell"  #'), "is not a practice fault"),
         ("rig.toml", ('calibration = "load-cell.json"', 'calibration = "none.json"'), "finray rig calibrate-cell"),
     ],
@@ -266,7 +266,7 @@ def test_mistakes_are_refused_before_anything_moves(practice, file, edit, words)
 
 
 def test_a_cell_may_be_silent_for_four_readings():
-    with pytest.raises(ValueError, match=r"fewer than four readings at 10 Hz; give at least 0\.4 s"):
+    with pytest.raises(ValueError, match=r"too short for four readings at 10 Hz; give at least 0\.4 s"):
         LoadCellSettings(capacity_n=5.0, force_limit_n=2.0, rate_hz=10, silent_s=0.3)
 
 

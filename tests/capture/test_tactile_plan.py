@@ -52,10 +52,10 @@ def test_bad_poses_are_refused(tmp_path, content, message):
     ("old", "new", "message"),
     [
         ("[[presses]]", "[[pressings]]", "'pressings': unknown key; did you mean 'presses'"),
-        ("exposures_s = [0.01]", "", "needs either exposures_s or bracket_powers"),
+        ("exposures_s = [0.01]", "", "exactly one of exposures_s and bracket_powers"),
         ("[0.01]", "[0.01, 0.01]", "an exposure is listed twice"),
-        ("exposures_s = [0.01]", "bracket_powers = [9, 4]", "the first must not exceed the last"),
-        ("exposures_s", 'poses_csv = "p.csv"\nexposures_s', r"needs either \[\[presses\]\] tables or poses_csv"),
+        ("exposures_s = [0.01]", "bracket_powers = [9, 4]", "the first power must not be greater than the last"),
+        ("exposures_s", 'poses_csv = "p.csv"\nexposures_s', r"exactly one of \[\[presses\]\] tables and poses_csv"),
         ("led_current_ma = 20.0\n", "", "'led_current_ma': is missing"),
         ("led_current_ma = 20.0", "led_current_ma = -1", "in mA"),
     ],
@@ -77,7 +77,7 @@ def test_senseless_board_is_refused(board, message):
 
 
 def test_rig_of_the_simulated_bench_is_refused(tmp_path):
-    with pytest.raises(RecordError, match="a simulated camera needs the tables"):
+    with pytest.raises(RecordError, match="so the tables"):
         rig_of(tmp_path, 'name = "bench"\n[camera]\n')
 
 

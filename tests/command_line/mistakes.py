@@ -140,13 +140,13 @@ CASES = (
     Case("folder for a finger", "simulate press {lab}", r": is a folder; give the path of a finger design \(TOML\)"),
     Case("no session to resume", "capture --resume {tmp}", r"holds no interrupted session .*; give the folder"),
     Case("file for band images", "import bands {lab}/rig.toml", r"rig\.toml: is a file; give the folder of the images"),
-    Case("half a record", "fit {tmp}/half.json", r"edited or cut off: restore it", file("half.json", "{")),
-    Case("list for a record", "fit {tmp}/list.json", r"list\.json: .*; give one that fin", file("list.json", "[]")),
+    Case("half a record", "fit {tmp}/half.json", r"edited or cut off, so restore it", file("half.json", "{")),
+    Case("list for a record", "fit {tmp}/list.json", r"list\.json: .*; give a record that", file("list.json", "[]")),
     Case("plan is no TOML", BAD_PLAN, r"plan\.toml: cannot be read as TOML \(.* line 1", file("plan.toml", "{}")),
     Case(
         "plan and rig exchanged",
         "capture {lab}/rig.toml --rig {lab}/plan.toml",
-        r"rig\.toml: holds a rig file, where a paint plan is needed; give that file",
+        r"rig\.toml: contains a rig file, but a paint plan is needed; give the path of",
     ),
     Case(
         "unknown key",
@@ -169,7 +169,7 @@ CASES = (
     Case(
         "filter named twice in the rig",
         BAD_RIG,
-        r"rig\.toml: 'filter_wheel': name 450 is used by two filters; list each filter once, with its own name",
+        r"rig\.toml: 'filter_wheel': name 450 is used by two filters; give each filter a different name",
         edited("rig.toml", 'name = "405"', 'name = "450"'),
     ),
     Case(
@@ -206,19 +206,19 @@ CASES = (
     Case(
         "decimal comma",
         BAD_PLAN,
-        r"plan\.toml: cannot be read as TOML \(.*\); correct the line 'target_fraction = 0,7': the decimal mark is",
+        r"plan\.toml: cannot be read as TOML \(.*\); correct the line 'target_fraction = 0,7' \(the decimal mark",
         edited("plan.toml", "target_fraction = 0.7", "target_fraction = 0,7"),
     ),
     Case(
         "text without quotes",
         BAD_PLAN,
-        r"plan\.toml: .*; correct the line 'paint_name = red': put text in straight quotes",
+        r"plan\.toml: .*; correct the line 'paint_name = red' \(put text in straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = red"),
     ),
     Case(
         "typographic quotes",
         BAD_PLAN,
-        r"plan\.toml: .*: write straight quotes",
+        r"plan\.toml: .* \(write straight quotes",
         edited("plan.toml", 'paint_name = "red"', "paint_name = \u201cred\u201d"),
     ),
     Case(
@@ -230,7 +230,7 @@ CASES = (
     Case(
         "record for a plan",
         "capture {lab}/bands.json --rig {lab}/rig.toml",
-        r"bands\.json: .*; it looks like a JSON file: a TOML file is needed here",
+        r"bands\.json: .*; it looks like a JSON file, but a TOML file is needed",
     ),
     Case(
         "half a pixel",
@@ -241,7 +241,7 @@ CASES = (
     Case(
         "semicolons between columns",
         BAD_RIG,
-        r"camera\.csv: semicolons or tabs separate its columns; export it with commas, and decimal points",
+        r"camera\.csv: columns must be separated by commas, not semicolons or tabs; write decimals with a point",
         curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
     ),
     Case("path with spaces", "capture a plan.toml", r"does not take plan\.toml; put a path with spaces in quotes; "),
@@ -263,13 +263,13 @@ CASES = (
     Case(
         "curve that ends at 420 nm",
         BAD_RIG,
-        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* of filter 450 lies outside \(at most 20 % is allowed\)",
+        r"camera\.csv: curve 'red' covers only 380 to 420 nm, and .* of filter 450 lies outside \(at most 20 % is",
         curve("380,1,2,3\n420,1,2,3\n"),
     ),
     Case(
         "other columns",
         BAD_RIG,
-        r"camera\.csv: header is nm,r,g,b; a camera response needs wavelength_nm,red_percent",
+        r"camera\.csv: the header is nm,r,g,b, but a camera response needs wavelength_nm,red_percent",
         curve("380,1,2,3\n720,1,2,3\n", header="nm,r,g,b\n"),
     ),
     Case(
@@ -292,13 +292,13 @@ CASES = (
     Case(
         "missing frame",
         "radiometry {tmp}/session",
-        r"frames/\d+_white_532_\d+us\.tiff: frame is missing; restore it from a copy or capture the session again",
+        r"frames/\d+_white_532_\d+us\.tiff: the frame is missing; restore it from a copy, or capture the session again",
         session(without_a_frame),
     ),
     Case(
         "changed frame",
         "radiometry {tmp}/session",
-        r"frames/\d+_white_532_\d+us\.tiff: SHA-256 differs .*; the frame was changed, restore it",
+        r"frames/\d+_white_532_\d+us\.tiff: the frame was changed, because its SHA-256 differs .*; restore the frame",
         session(with_a_changed_bit),
     ),
     Case(
@@ -310,7 +310,7 @@ CASES = (
     Case(
         "newer session",
         "radiometry {tmp}/session",
-        rf"session\.json: schema_version 9 was written by a newer finray; this one reads up to \d: update with {NEW}",
+        rf"session\.json: schema_version 9 was written by a newer finray, .* reads only up to \d; update with {NEW}",
         session(lambda folder: edit(folder / "session.json", '"schema_version": 7', '"schema_version": 9')),
     ),
     # stored records
@@ -335,7 +335,7 @@ CASES = (
     Case(
         "wrong kind",
         "fit {paints}/red/paint.json",
-        r"paint\.json: holds a paint calibration, where band signals are needed",
+        r"paint\.json: contains a paint calibration, but band signals are needed",
     ),
     Case(
         "record for its session", "radiometry {lab}/session/session.json", r"session\.json: is a file; give the folder"
@@ -356,7 +356,7 @@ CASES = (
     Case(
         "rig for a record",
         "fit {lab}/rig.toml",
-        r"rig\.toml: cannot be read as JSON .*; it does not begin with \{ or \[; give the path of",
+        r"rig\.toml: cannot be read as JSON .*; the file does not begin with \{ or \[; give the path of",
     ),
     Case(
         "misspelt option",
@@ -379,7 +379,7 @@ CASES = (
     Case(
         "rig for a finger",
         "study finger-stiffness {lab}/rig.toml",
-        r"rig\.toml: holds a rig file, where a finger design is needed; give that file",
+        r"rig\.toml: contains a rig file, but a finger design is needed; give the path of",
     ),
     Case(
         "classic sensor for a finger",
@@ -459,7 +459,7 @@ CASES = (
     Case(
         "day in words",
         "certificate {paints}/red/paint.json --out {tmp}/c.html --laboratory {tmp}/lab.toml",
-        r"lab\.toml: 'references \(entry 1\)\.calibrated_on': must be a day such as 2026-03-02, .* got 'yesterday'",
+        r"lab\.toml: 'references \(entry 1\)\.calibrated_on': must be a date such as 2026-03-02, .* got 'yesterday'",
         file(
             "lab.toml",
             'kind = "certificate"\nlaboratory = "one"\n[[references]]\nof = "lamp"\nnumber = "1"\nissued_by = "two"\n'
@@ -469,7 +469,7 @@ CASES = (
     Case(
         "uncertainty in per cent",
         "design show {tmp}/finger.toml",
-        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: is a relative standard uncertainty, so at most 1 .* 0\.05",
+        r"'uncertainty_rel': 'pad\.thickness_mm' = 10: a relative standard uncertainty must be at most 1; .* 0\.05",
         design('[uncertainty_rel]\n"pad.thickness_mm" = 10.0'),
     ),
     Case(
@@ -497,7 +497,7 @@ CASES = (
     Case(
         "depths of a data set in metres",
         "study dataset flat-70x35 --depth-mm 0.0003 0.002 --out {tmp}/set",
-        r"depth_mm: the range begins at 0\.0003 mm, less than the 0\.02 mm .* in metres\? Give them in mm",
+        r"depth_mm: the range begins at 0\.0003 mm, less than the 0\.02 mm .*; check that the depths are in mm, not",
     ),
     Case(
         "three filters of a tilt",
@@ -518,7 +518,7 @@ CASES = (
     Case(
         "key in another language",
         BAD_PLAN,
-        r"plan\.toml: 'zielhelligkeit': unknown key; .*known keys are bracket",
+        r"plan\.toml: 'zielhelligkeit': unknown key; .*nown keys are bracket",
         edited("plan.toml", "target_fraction", "zielhelligkeit"),
     ),
     Case(
@@ -530,7 +530,7 @@ CASES = (
     Case(
         "practice fault without its unit",
         BAD_RIG,
-        r"'simulated\.practice_fault': the size of 'stray light' is a number .* 'stray light, 10 DN/s'",
+        r"'simulated\.practice_fault': the size of 'stray light' must be a number .* 'stray light, 10 DN/s'",
         edited("rig.toml", "[simulated]", '[simulated]\npractice_fault = "stray light, 10"'),
     ),
     Case(
@@ -551,7 +551,7 @@ CASES = (
     Case(
         "page for its record",
         "fit {lab}/report.html",
-        r"report\.html: cannot be read as JSON .*; it does not begin with \{ or \[",
+        r"report\.html: cannot be read as JSON .*; the file does not begin with \{ or \[",
     ),
     Case(
         "channel of a colour that a sensor lacks",
@@ -587,25 +587,25 @@ CASES = (
     Case(
         "semicolons in a study",
         "check gauge-rr {tmp}/study.csv",
-        r"error: \S*study\.csv: semicolons or tabs separate its columns",
+        r"error: \S*study\.csv: columns must be separated by commas, not semicolons or tabs",
         file("study.csv", "sample;session;value\nA;1;2\n"),
     ),
     Case(
         "folder without its description",
         "import bands {lab}",
-        r"lab\S*: holds no bands\.toml, which says which image shows what; write it as",
+        r"lab\S*: bands\.toml, which tells what each image shows, is missing; write it as",
     ),
-    Case("not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); it does not begin"),
+    Case("not a JSON", "fit {lab}/plan.toml", r"plan\.toml: cannot be read as JSON \(.*\); the file does not"),
     Case(
         "newer record",
         "decide {tmp}/sweep.json",
-        rf"sweep\.json: schema_version 9 was written by a newer finray; .* update with {NEW}",
+        rf"sweep\.json: schema_version 9 was written by a newer finray, .* update with {NEW}",
         edited("sweep.json", '"schema_version": 5', '"schema_version": 9'),
     ),
     Case(
         "record without its arrays",
         "compare {lab}/press.json {tmp}/capture.json",
-        r"\.npz: is missing; it holds the arrays of capture\.json: keep the two files together",
+        r"\.npz: is missing, but it contains the arrays of capture\.json; keep the two files together",
         without_array_file,
     ),
     Case(
@@ -623,7 +623,7 @@ CASES = (
     Case(
         "angles in radians",
         SWEEP + " --angles 0:2.09:0.5",
-        r"--angles: 5 angles of the light from 0 to 2 deg span less than 4 deg: in radians .*--narrow-sweep",
+        r"--angles: 5 angles of the light from 0 to 2 deg span less than 4 deg, .* suggests radians .*--narrow-sweep",
     ),
     Case("only the red paint", SIMULATE, r"the green wall has no paint; give --paint red=FILE and --paint green=FILE"),
     Case(
@@ -634,7 +634,7 @@ CASES = (
     Case(
         "bands as paint",
         SIMULATE + " --paint green={lab}/bands.json",
-        r"bands\.json: holds band signals, where a paint cal",
+        r"bands\.json: contains band signals, but a paint cal",
     ),
     Case(
         "mechanics with paints",
@@ -715,7 +715,7 @@ CASES = (
     Case(
         "skeleton in GPa",
         MECHANICS,
-        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus \(the sum\): 0\.007918 MPa .* in GPa: write 7\.918",
+        r"'mechanics\.skeleton': mu_mpa: the initial shear modulus .* of 0\.007918 MPa .* in GPa, so write 7\.918",
         design("[mechanics.skeleton]\nmu_mpa = [0.006279, 0.001639]"),
     ),
     Case(
@@ -727,13 +727,13 @@ CASES = (
     Case(
         "gel in kPa",
         MECHANICS,
-        r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa: write 0\.1333",
+        r"finger\.toml: 'mechanics\.gel\.c10_mpa' \(in MPa\): .* looks like a number in kPa, so write 0\.1333",
         design("[mechanics.gel]\nc10_mpa = 133.3"),
     ),
     Case(
         "pad in metres",
         MECHANICS,
-        r"pad\.thickness_mm: 0\.006 mm is outside .* looks like a number in metres: write 6",
+        r"pad\.thickness_mm: 0\.006 mm is outside .* looks like a number in metres, so write 6",
         design("[pad]\nthickness_mm = 0.006\n[indenter]\ndepth_mm = 0.02"),
     ),
     Case(
@@ -763,19 +763,19 @@ CASES = (
     Case(
         "indenter's radius in metres",
         MECHANICS,
-        r"finger\.toml: indenter\.radius_mm: 0\.01 mm is outside .* in metres: write 10",
+        r"finger\.toml: indenter\.radius_mm: 0\.01 mm is outside .* in metres, so write 10",
         design("[indenter]\nradius_mm = 0.01\n"),
     ),
     Case(
         "pad's length in metres",
         MECHANICS,
-        r"must lie on the pad \(0 to 0\.07 mm\); pad\.length_mm looks like a number in metres: write 70",
+        r"must lie on the pad \(0 to 0\.07 mm\); pad\.length_mm looks like a number in metres, so write 70",
         design("[pad]\nlength_mm = 0.07\n"),
     ),
     Case(
         "depth in metres",
         MECHANICS,
-        r"depth_mm = 0\.0015 mm is less than .* looks like a number in metres: write 1\.5",
+        r"depth_mm = 0\.0015 mm is less than .* looks like a number in metres, so write 1\.5",
         design("[indenter]\ndepth_mm = 0.0015\n"),
     ),
     Case(
@@ -793,19 +793,19 @@ CASES = (
     Case(
         "film in metres",
         MECHANICS,
-        r"pad\.film\.thickness_mm: 0\.0001 mm is outside .* looks like a number in metres: write 0\.1",
+        r"pad\.film\.thickness_mm: 0\.0001 mm is outside .* looks like a number in metres, so write 0\.1",
         design("[pad.film]\nthickness_mm = 0.0001"),
     ),
     Case(
         "indenter in metres",
         MECHANICS,
-        r"indenter\.radius_mm: 0\.01 mm is outside .* looks like a number in metres: write 10",
+        r"indenter\.radius_mm: 0\.01 mm is outside .* looks like a number in metres, so write 10",
         design("[indenter]\nradius_mm = 0.01"),
     ),
     Case(
         "pad wider than the fin",
         MECHANICS,
-        r"finger\.toml: skeleton\.width_mm = 30 mm: the pad \(pad\.width_mm = 35 mm\) and a rib .* wider than the fin",
+        r"finger\.toml: skeleton\.width_mm = 30 mm is too narrow; .* the pad \(pad\.width_mm = 35 mm\) and a rib",
         design("[skeleton]\nwidth_mm = 30.0"),
     ),
     Case(
@@ -867,7 +867,7 @@ CASES = (
     Case(
         "compare exchanged",
         "compare {lab}/capture.json {lab}/press.json",
-        r"capture\.json: holds a tactile capture, where a simu",
+        r"capture\.json: contains a tactile capture, but a simu",
     ),
     Case(
         "three angles",
@@ -913,7 +913,7 @@ CASES = (
     Case(
         "camera response as material",
         "demo --engine scalar --red {tmp}/camera.csv --out {tmp}/demo",
-        r"camera\.csv: the first column is 'wavelength_nm'; a re-radiation matrix needs 'emission_nm'",
+        r"camera\.csv: the first column is 'wavelength_nm', but a re-radiation matrix needs 'emission_nm'",
         curve("380,1,2,3\n720,1,2,3\n"),
     ),
     Case(
@@ -931,13 +931,13 @@ CASES = (
     Case(
         "material with uneven steps",
         "demo --engine scalar --red {tmp}/ink.csv --out {tmp}/demo",
-        r"ink\.csv: emission_nm steps range from 10 to 30 nm; .* give the matrix on evenly spaced",
+        r"ink\.csv: emission_nm steps range from 10 to 30 nm, .* give the matrix on evenly spaced",
         file("ink.csv", MATRIX + "450,0.1,0\n460,0.1,0.1\n490,0,0\n"),
     ),
     Case(
         "sensor that ends at 420 nm",
         "demo --engine scalar --sensor {tmp}/camera.csv --out {tmp}/demo",
-        r"camera\.csv: curve 'red' covers 380 to 420 nm, but .* \(at most 20 % is allowed\); give a curve that covers",
+        r"camera\.csv: curve 'red' covers only 380 to 420 nm, and .* \(at most 20 % is allowed\); give a curve that",
         curve("380,1,2,3\n420,1,2,3\n"),
     ),
     Case(
@@ -983,7 +983,7 @@ CASES = (
     Case(
         "empty record",
         "fit {tmp}/empty.json",
-        r"cannot be read as JSON .*; it is empty; give the path of a stored record",
+        r"cannot be read as JSON .*; the file is empty; give the path of a stored record",
         file("empty.json", ""),
     ),
     Case(
@@ -1007,7 +1007,7 @@ CASES = (
     Case(
         "finger for a rig",
         "rig show {tmp}/finger.toml",
-        r"holds the design of a finger or sensor, where a rig file is needed; give that file",
+        r"contains the design of a finger or sensor, but a rig file is needed; give the path of",
         design("[pad]\nthickness_mm = 5.0"),
     ),
     Case(

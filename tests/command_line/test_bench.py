@@ -113,7 +113,7 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         ),
         (
             f"set --teach 2 --simulator mine --command '{sys.executable} -c \"pass\"'",
-            "neither it nor a folder in it holds a file contact",
+            "contains no file contact",
         ),
     ],
 )

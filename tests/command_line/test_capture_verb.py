@@ -161,7 +161,7 @@ def test_real_laser_needs_its_label_and_is_announced(lab: Path, tmp_path: Path) 
     lines = named.read_text().splitlines(keepends=True)
     nameless.write_text("".join(line for line in lines if not line.startswith(("power_mw", "laser_class"))))
     said = mistake(f"{capture} {nameless}")
-    assert "switched on only when the rig file states its laser_class, power_mw; read them from its label" in said
+    assert "laser_class, power_mw must be given for a real laser" in said
     said = mistake(f"{capture} {named}")
     assert "LASER 450 nm, 4.5 mW, class 3R: it will be switched on. Wear goggles for 450 nm, close the box" in said
     off = "all processes are killed: yes, by the dead-man in the light's controller, within 0.5 s"

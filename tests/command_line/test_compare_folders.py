@@ -408,7 +408,7 @@ class _Struck(Child):
 @pytest.mark.parametrize(
     ("strike", "status", "told"),
     [
-        (Child.kill, 3, "the process that compared bgr, one, two was killed (SIGKILL): by"),
+        (Child.kill, 3, "the process that compared bgr, one, two was killed (SIGKILL) by"),
         (lambda _: True, 130, "interrupted; files already written are complete"),
     ],
 )

@@ -60,7 +60,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
         ({"number": signal.SIGILL}, r"^stage two was ended by SIGILL \(a compiled library uses instructions that this"),
         (
             {"number": signal.SIGKILL},
-            r"^stage two was killed \(SIGKILL\): .*; it had taken 0\.\d\d GiB of",
+            r"^stage two was killed \(SIGKILL\) .*; it had taken 0\.\d\d GiB of",
         ),
         ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory; it had taken 0\.\d\d GiB"),
     ],
@@ -150,7 +150,7 @@ def without_input(out: Path) -> None:
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (without_arrays, r"two\.\w+\.npz: is missing; it holds the arrays of two\.json"),
+        (without_arrays, r"two\.\w+\.npz: is missing, but it contains the arrays of two\.json"),
         (
             other_input,
             r"two\.json: was made from one\.json, which has changed since; move two\.json away to have it made again",

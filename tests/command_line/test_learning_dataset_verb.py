@@ -87,7 +87,7 @@ def test_a_killed_data_set_goes_on_and_grows(tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--radius-mm", "5", "3"), "the range runs from 5 to 3 mm; give the smaller one first"),
+        (("--radius-mm", "5", "3"), "the range must not run downwards, from 5 to 3 mm; give the smaller number first"),
         (("--depth-mm", "0.5", "30"), "goes through the pad"),
         (("--radius-mm", "3", "80", "--depth-mm", "1", "3"), "leaves no room on the pad of 48 x 18 mm"),
         (("--emission-ratio", "0.5"), "emission_ratio"),

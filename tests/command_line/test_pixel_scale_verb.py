@@ -104,7 +104,7 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         ),
         (
             "--pad {0}/board-0.png --squares 7x5 --square-mm 0.003 --marker-mm 0.0022 --square-u-mm 0.000003",
-            r"square_mm = 0\.003 mm: squares of 0\.2 to 100 mm can be used; was it given in metres",
+            r"square_mm = 0\.003 mm must be 0\.2 to 100 mm; if it was given in metres",
         ),
         ("--pad {0}/board-0.png " + BOARD, "--square-u-mm is missing; measure all squares"),
         ("--pad {0}/board-0.png --square-u-mm 3 " + BOARD, r"--square-u-mm 3: must be 0 to 0\.3 mm"),

@@ -89,7 +89,7 @@ def test_moved_folder_is_whole(decided, tmp_path):
 def test_records_before_seals_are_read_and_say_so(tmp_path):
     shutil.copytree(FROZEN / "LightAngleDecision" / "v1", tmp_path / "old")
     outcome = finray(f"trace {tmp_path}/old/example.json")
-    assert "carries no seal" in outcome.out
+    assert "has no seal" in outcome.out
     assert outcome.status == 1  # its input is not there
     assert "missing" in outcome.out
 

@@ -102,9 +102,9 @@ def test_a_channel_that_does_not_vary_is_no_division_by_zero():
     ("change", "said"),
     [
         ({"places_mm": np.zeros((5, 3))}, "a calibration table needs"),
-        ({"folds": 1}, "need 2 to 30 folds"),
-        ({"folds": 31}, "need 2 to 30 folds"),
-        ({"degree": 7}, "240 rows for 792 terms"),
+        ({"folds": 1}, "must be 2 to 30 for 30"),
+        ({"folds": 31}, "must be 2 to 30 for 30"),
+        ({"degree": 7}, "240 rows, but needs at least 792"),
     ],
 )
 def test_tables_without_a_calibration_are_refused(change, said):

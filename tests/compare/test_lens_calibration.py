@@ -72,7 +72,7 @@ def test_a_picture_that_counts_twice_is_two_pictures():
 def test_too_few_pictures_are_refused():
     rng = np.random.default_rng(5)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, LEAST_VIEWS - 2), rng)
-    with pytest.raises(CompareError, match="3 usable pictures of the board do not determine a lens: give 4 or more"):
+    with pytest.raises(CompareError, match=r"3 usable pictures .* are too few to calibrate a lens; give at least 4"):
         calibrate_lens(views, SIZE_PX, "pinhole")
 
 
@@ -91,7 +91,7 @@ def test_a_board_that_is_not_what_it_is_said_to_be_leaves_residuals():
     rng = np.random.default_rng(7)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 8), rng)
     bent = [type(v)(v.name, v.places_mm, v.pixels + 12.0 * np.sin(v.places_mm[:, ::-1])) for v in views]
-    with pytest.raises(CompareError, match="check that the board is flat"):
+    with pytest.raises(CompareError, match="Check that the board is flat"):
         calibrate_lens(bent, SIZE_PX, "pinhole")
 
 
@@ -103,7 +103,7 @@ def test_a_calibration_that_fails_says_what_to_do(monkeypatch):
         raise cv2.error("CALIB_CHECK_COND - Ill-conditioned matrix")
 
     monkeypatch.setattr(cv2.fisheye, "calibrate", fails)
-    with pytest.raises(CompareError, match="the fisheye calibration fails"):
+    with pytest.raises(CompareError, match="the fisheye calibration failed"):
         calibrate_lens(views, SIZE_PX, "fisheye")
 
 

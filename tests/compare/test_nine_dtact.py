@@ -46,7 +46,7 @@ def test_the_prediction_darkens_by_the_level_of_the_cap_depth():
     assert prediction[30, 55, 1] == pytest.approx(150 - 50 * depth_mm, rel=1e-12)
     outside = ~disc((60, 80), (30.0, 45.0), 20.0)
     assert (prediction[outside] == 150).all()
-    with pytest.raises(ImportFormatError, match=r"radius 4.000 mm, not less than the ball's 4.000 mm"):
+    with pytest.raises(ImportFormatError, match=r"radius of 4.000 mm, .* below the ball's radius, 4.000 mm"):
         predict_press(NO_CONTACT, DarkenedCircle((30, 45), 20), 0.2, 4.0, table)
 
 
@@ -136,7 +136,7 @@ def test_a_missing_file_is_named(sensor_copy, name):
 def test_a_pickled_array_is_refused(sensor_copy):
     path = sensor_copy / "depth_calibration" / "Pixel_to_Depth.npy"
     np.save(path, np.array([{"depth": 1.0}], dtype=object), allow_pickle=True)
-    with pytest.raises(ImportFormatError, match=r"Pixel_to_Depth.npy: not a plain numeric .npy file .* refused"):
+    with pytest.raises(ImportFormatError, match=r"Pixel_to_Depth.npy: is not .* Pickled files are not supported"):
         read_nine_dtact(sensor_copy)
 
 
@@ -146,14 +146,14 @@ def test_a_broken_image_or_map_is_refused(sensor_copy):
     image = sensor_copy / "depth_calibration" / "rectify_crop_sample.png"
     original = image.read_bytes()
     cv2.imwrite(str(image), np.zeros((345, 459, 3), np.uint8))
-    with pytest.raises(ImportFormatError, match=r"345 x 460 px, got uint8 of \(345, 459, 3\)"):
+    with pytest.raises(ImportFormatError, match=r"345 x 460 px, got uint8 of shape \(345, 459, 3\)"):
         read_nine_dtact(sensor_copy)
     image.write_bytes(b"not a picture")
     with pytest.raises(ImportFormatError, match=r"rectify_crop_sample.png: is neither PNG nor JPEG"):
         read_nine_dtact(sensor_copy)
     image.write_bytes(original)
     np.save(camera / "row_index.npy", np.full((480, 640), 480, np.int32))
-    with pytest.raises(ImportFormatError, match=r"row_index.npy: expected 480 x 640 whole pixel indices from 0 to 479"):
+    with pytest.raises(ImportFormatError, match=r"row_index.npy: expected 480 x 640 integer .* from 0 to 479"):
         read_nine_dtact(sensor_copy)
 
 
@@ -164,7 +164,7 @@ def test_a_broken_position_or_crop_is_refused(sensor_copy):
     with pytest.raises(ImportFormatError, match=r"position_scale.npy: expected three positive numbers"):
         read_nine_dtact(sensor_copy)
     np.save(path, np.array([100.0, 327.0, 0.05]))
-    with pytest.raises(ImportFormatError, match=r"345 x 460 px around row 100, column 327 leaves the image"):
+    with pytest.raises(ImportFormatError, match=r"345 x 460 px around row 100, column 327 extends beyond the image"):
         read_nine_dtact(sensor_copy)
 
 
@@ -180,9 +180,9 @@ def test_a_table_of_words_or_one_that_does_not_grow_is_refused(tmp_path):
     path = tmp_path / "Pixel_to_Depth.npy"
     np.save(path, np.array(["deep", "deeper"]))
     with pytest.raises(
-        ImportFormatError, match=r"Pixel_to_Depth.npy: not a plain numeric .npy file .holds <U6, not real numbers"
+        ImportFormatError, match=r"Pixel_to_Depth.npy: is not a plain numeric .npy file .contains <U6, not real numbers"
     ):
         load_depth_table(path)
     np.save(path, np.array([-0.9, 0.1, 0.3, 0.2]))
-    with pytest.raises(ImportFormatError, match="one depth in mm per grey level, growing from entry 1 on"):
+    with pytest.raises(ImportFormatError, match="one depth in mm per grey level, increasing from entry 1 on"):
         load_depth_table(path)

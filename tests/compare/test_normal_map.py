@@ -131,11 +131,11 @@ def test_clipped_pixels_teach_nothing(presses):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"radius_px": 25.0}, "press 1: its contact circle of 25 px must be smaller than the ball of 20 px"),
-        ({"radius_px": 0.0}, "its contact circle of 0 px"),
-        ({"row_px": 500.0}, "press 1: no usable pixel in its contact circle of .* picture of 80 x 60 px"),
-        ({"no_contact": np.ones((60, 81, 3))}, "press 1: its no-contact image has 81 x 60 px"),
-        ({"no_contact": np.ones((60, 80))}, r"press 1: its no-contact image has shape \(60, 80\)"),
+        ({"radius_px": 25.0}, "press 1: the contact circle of 25 px must be smaller than the ball of 20 px"),
+        ({"radius_px": 0.0}, "the contact circle of 0 px"),
+        ({"row_px": 500.0}, "press 1: the contact circle of .* has no usable pixel in a picture of 80 x 60 px"),
+        ({"no_contact": np.ones((60, 81, 3))}, "press 1: the no-contact image has 81 x 60 px"),
+        ({"no_contact": np.ones((60, 80))}, r"press 1: the no-contact image has shape \(60, 80\)"),
         ({"no_contact": np.zeros((60, 80, 3))}, "the no-contact image is black or clipped everywhere"),
         ({"no_contact": np.full((60, 80, 3), np.nan)}, "no usable pixel"),
     ],
@@ -156,7 +156,7 @@ def test_too_few_or_unchanged_presses_are_refused(presses):
 
 def test_images_of_another_size_are_refused(fitted):
     other = np.ones((50, 80, 3))
-    with pytest.raises(CompareError, match="fitted to colour images of 80 x 60 px, got 80 x 50 px"):
+    with pytest.raises(CompareError, match="fitted to colour images of 80 x 60 px, but this image has 80 x 50 px"):
         fitted.slopes(other, other)
-    with pytest.raises(CompareError, match=r"got shape \(60, 80\)"):
+    with pytest.raises(CompareError, match=r"but this image has shape \(60, 80\)"):
         fitted.slopes(np.ones(SHAPE_PX), np.ones(SHAPE_PX))

@@ -90,15 +90,15 @@ def test_a_bayer_sensor_gives_the_same_map(captures):
     [
         (
             {"contact_circle": None},
-            "press 2: a normal map is trained on presses of a ball .* this press is by a ball without one",
+            "press 2: a normal map is trained only on presses of a ball .* this press is by a ball without a",
         ),
         ({"mm_per_px": None}, "press 2: mm_per_px is missing"),
-        ({"encoding": "unknown"}, "press 2 has encoding unknown, press 1 linear"),
-        ({"bit_depth": 14}, "press 2 has bit_depth 14, press 1 12"),
-        ({"mm_per_px": 0.06}, "press 2 has 0.06 mm per px, press 1 0.05"),
+        ({"encoding": "unknown"}, "press 2 has encoding unknown, but press 1 has linear"),
+        ({"bit_depth": 14}, "press 2 has bit_depth 14, but press 1 has 12"),
+        ({"mm_per_px": 0.06}, "press 2 has 0.06 mm per px, but press 1 has 0.05"),
         (
             {"indenter": IndenterPose(shape="cylinder", radius_mm=1.0, depth_mm=None, position_mm=None)},
-            "this press is by a cylinder with one",
+            "this press is by a cylinder with a contact circle",
         ),
     ],
 )
@@ -110,14 +110,14 @@ def test_captures_that_do_not_belong_together_are_refused(captures, change, mess
 
 def test_a_press_that_is_given_twice_is_refused(captures):
     twice = [*captures, captures[3].model_copy(update={"name": "again"})]
-    with pytest.raises(CompareError, match=r"press 4 and again are the same image: .* give each press once"):
+    with pytest.raises(CompareError, match=r"press 4 and again are the same image, .* give each press only once"):
         normal_map_record(twice, "m", seed=1)
 
 
 def test_a_map_senses_its_own_encoding_only(captures):
     record = normal_map_record(captures, "map", seed=1)
     require_matching_capture(record, captures[0])
-    with pytest.raises(CompareError, match="holds unknown values, but the normal map 'map' was trained on linear ones"):
+    with pytest.raises(CompareError, match="has unknown values, but the normal map 'map' was trained on linear values"):
         require_matching_capture(record, captures[0].model_copy(update={"encoding": "unknown"}))
     with pytest.raises(CompareError, match="slopes and depths would be wrong; fit the map"):
         require_matching_capture(record, captures[0].model_copy(update={"mm_per_px": 1.1 * MM_PER_PX}))

@@ -223,7 +223,7 @@ def views_of(rng, pad_pose, noise_px=0.1, count=6):
 
 def test_a_board_seen_from_the_side_is_refused():
     views = views_of(np.random.default_rng(15), pose_of([1.35, 0.0, 0.0], (0.0, 0.0, 25.0)))
-    with pytest.raises(CompareError, match=r"seen at 7\d deg from its normal, and at most 70 deg"):
+    with pytest.raises(CompareError, match=r"seen at 7\d deg from its normal, but at most 70 deg"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
 
 
@@ -239,7 +239,7 @@ def test_a_scale_that_is_hardly_known_is_refused():
 def test_few_pictures_beside_the_pad_are_refused():
     rng = np.random.default_rng(17)
     views = board_views("pinhole", PINHOLE, poses("pinhole", PINHOLE, rng, 3), rng)
-    with pytest.raises(CompareError, match="3 usable pictures of the board besides that on the pad: give 4"):
+    with pytest.raises(CompareError, match=r"3 usable pictures of .* are too few; give at least 4"):
         pixel_scale(views[0], views[1:], SIZE_PX, BOARD, BoardUncertainty(0.0), 1, "pinhole")
 
 
@@ -247,18 +247,18 @@ def test_few_pictures_beside_the_pad_are_refused():
 def test_another_unit_is_recognised(square_mm, unit, meant):
     # LengthMm ends at 1000 mm, so a file cannot say 3000: only code that makes boards can
     board = BOARD.model_copy(update={"square_mm": square_mm, "marker_mm": square_mm * 0.7})
-    with pytest.raises(CompareError, match=f"was it given in {unit}. Then write square_mm = {meant},"):
+    with pytest.raises(CompareError, match=f"if it was given in {unit}, write square_mm = {meant},"):
         require_plausible(board)
 
 
 def test_pictures_without_a_usable_board_are_refused(seen):
     _, images = seen
     grey = images["board-0.png"]
-    with pytest.raises(CompareError, match="blank: 0 of the 24 corners of the board are found, but 8 are needed"):
+    with pytest.raises(CompareError, match=r"blank: only 0 of the 24 corners .* but at least 8"):
         find_board(np.full_like(grey, 128), BOARD, "blank")
     with pytest.raises(CompareError, match="of the 24 corners"):
         find_board(grey, BOARD.model_copy(update={"squares": (5, 7)}), "turned")
-    with pytest.raises(CompareError, match="DICT_4X4_50 has 50 markers, but a board of 12 x 9 squares needs 54"):
+    with pytest.raises(CompareError, match="DICT_4X4_50 has only 50 markers, but a board of 12 x 9 squares needs 54"):
         find_board(grey, BOARD.model_copy(update={"squares": (12, 9)}), "large")
 
 
@@ -272,7 +272,7 @@ def test_a_board_that_is_too_small_or_a_line_is_refused(monkeypatch):
 
     grey = np.zeros(SIZE_PX[::-1], dtype=np.uint8)
     monkeypatch.setattr(board_corners, "_detected", found(300.0 + 0.05 * seen, ids))
-    with pytest.raises(CompareError, match=r"too small in the picture: a square has 4\.\d px, but 8 px"):
+    with pytest.raises(CompareError, match=r"too small .* a square has only 4\.\d px, but at least 8 px"):
         find_board(grey, BOARD, "far")
     wide = BOARD.model_copy(update={"squares": (10, 5)})
     monkeypatch.setattr(board_corners, "_detected", found(seen[:9], np.arange(9)))

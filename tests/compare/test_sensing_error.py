@@ -87,5 +87,5 @@ def test_clipped_pixels_are_left_out_and_strange_colours_are_counted(fitted):
 
 def test_a_region_without_a_usable_pixel_is_refused(fitted):
     nothing = np.full((*SHAPE_PX, 3), np.nan)
-    with pytest.raises(CompareError, match="no pixel that is neither clipped nor missing"):
+    with pytest.raises(CompareError, match="every pixel of the region is clipped or missing"):
         sensing_error(fitted, NO_CONTACT, NO_CONTACT, nothing, NO_CONTACT, INSIDE, MM_PER_PX)

@@ -299,7 +299,7 @@ def test_angles_in_radians_are_refused():
     sweep = sweep_record()
     small = sweep.model_copy(update={"angles_deg": np.radians(sweep.angles_deg)})
     with pytest.raises(
-        DecideError, match=r"13 angles of the light from 0 to 2\.0944 deg span less than 4 deg: in radians"
+        DecideError, match=r"13 angles of the light from 0 to 2\.0944 deg span less than 4 deg, which suggests radians"
     ):
         decide(small, [], 1)
     assert decide(small, [], 1, narrow_sweep=True).angle_deg < 2.1

@@ -212,7 +212,10 @@ def _bands(
         flags=tuple(tuple("weak" if w else "ok" for w in row) for row in weak),
         saturated_fraction=np.zeros((8, 3)),
         region_pixels=51_200,
-        notes=("camera response R covers 400 to 780 nm; its end value is held for 0.4 % of the weight of 405 nm",),
+        notes=(
+            "camera response R covers only 400 to 780 nm; outside, where 0.4 % of the weight of 405 nm lies, its "
+            "end value is used",
+        ),
     )
     return bands, predicted
 

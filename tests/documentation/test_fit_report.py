@@ -230,7 +230,7 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
     for words in (
         "Warning: 3.1 % of the fitted emission lies below the laser line",
         "Stokes shift 38 [13, 63] nm: this comes from the prior, not from a measurement",
-        "camera response R covers 400 to 780 nm",
+        "camera response R covers only 400 to 780 nm",
         f"centres within {RED.fit.optics.filters[0].center_uncertainty_nm:g} nm",
         "A diffuse paint",
         "The paper's four parameters, in its symbols",

@@ -136,7 +136,7 @@ def test_measured_curves_are_read(tmp_path):
     np.testing.assert_allclose(bands.optics.filter_curves["560"](x), passed, atol=1e-8)
     assert list(bands.optics.filter_curves) == ["560"]
     note = next(note for note in bands.notes if "f560.csv" in note)
-    assert note.endswith("below 10^-5 and outside 530 to 590 nm the blocking_od holds")
+    assert note.endswith("blocking_od is used below 10^-5 and outside 530 to 590 nm")
     assert bands.optics.camera_response[1]([600.0]) == pytest.approx([0.6])
     assert bands.optics.lamp([780.0]) == pytest.approx([2.0])
     assert {"f560.csv", "qe.csv", "lamp.csv"} <= set(digests)
@@ -149,23 +149,28 @@ def test_measured_curves_are_read(tmp_path):
         ('layout = "RGB"', 'layout = "RGBA"', RecordError, "'camera.layout'"),
         ('"450"\nregion', '"451"\nregion', RecordError, "excitation_filter '451' is not one of the filters"),
         ('name = "500"', 'name = "450"', RecordError, "'450' is listed twice"),
-        ("center_nm = 500\n", "", RecordError, "filter '500' needs center_nm and fwhm_nm, or curve"),
-        ("center_nm = 500\n", 'center_nm = 500\ncurve = "x.csv"\n', RecordError, "contradict each other"),
+        ("center_nm = 500\n", "", RecordError, "filter '500' has neither a curve nor both center_nm and fwhm_nm"),
+        ("center_nm = 500\n", 'center_nm = 500\ncurve = "x.csv"\n', RecordError, "could contradict it"),
         ("center_nm = 500\n", "center_nm = 450\n", CurveError, "center_nm 450 is used by two filters"),
         ('"white/{filter}nm.tif"', '"white/450nm.tif"', RecordError, "must contain {filter}"),
-        ('"white/{filter}nm.tif"', '"../{filter}nm.tif"', ImportFormatError, "leads out of the folder"),
-        ('layout = "RGB"', 'layout = "RGB"\nresponse = "../camera.csv"', CurveError, "'../camera.csv' leads out"),
+        ('"white/{filter}nm.tif"', '"../{filter}nm.tif"', ImportFormatError, "points outside the folder"),
+        ('layout = "RGB"', 'layout = "RGB"\nresponse = "../camera.csv"', CurveError, "'../camera.csv' points outside"),
         ('"white/{filter}nm.tif"', '"w/{filter}nm.tif"', ImportFormatError, "no file matches 'w/450nm.tif'"),
-        ('"lamp/{filter}nm.tif"', '"white/{filter}nm.tif"', ImportFormatError, "is both 'white' .* and 'reflectance'"),
+        ('"lamp/{filter}nm.tif"', '"white/{filter}nm.tif"', ImportFormatError, "as 'white' .* and as 'reflectance'"),
         ("reflectance = 0.5", 'reflectance = { "450" = 0.5 }', RecordError, "filter '500' is missing"),
-        ("laser_white = 0.5", 'laser_white = 0.5\nfiles = { "x.tif" = 1 }', ImportFormatError, "matches 'x.tif'"),
+        (
+            "laser_white = 0.5",
+            'laser_white = 0.5\nfiles = { "x.tif" = 1 }',
+            ImportFormatError,
+            "matches the file 'x.tif'",
+        ),
         ("bit_depth = 14", "bit_depth = 8", ImportFormatError, "above the 255 DN of camera.bit_depth = 8"),
         ("height_px = 40", "height_px = 400", FinrayError, "reach beyond the frame of 48 x 48 px"),
         (
             "[files]",
             '[[darks]]\nexposure_s = 9.0\nfiles = "laser_white.tif"\n[files]',
             ImportFormatError,
-            "is both 'dark' and 'laser white'",
+            "as 'dark' and as 'laser white'",
         ),
     ],
 )
@@ -187,9 +192,9 @@ def test_dark_of_another_exposure(tmp_path):
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (np.zeros((SIDE_PX, SIDE_PX, 3), np.float32), "holds float32 of shape"),
+        (np.zeros((SIDE_PX, SIDE_PX, 3), np.float32), "contains float32 of shape"),
         (np.zeros((SIDE_PX, SIDE_PX), np.uint16), "needs one 8- or 16-bit image of rows x columns x 3"),
-        (np.zeros((SIDE_PX, SIDE_PX + 2, 3), np.uint16), "all images must come from the same camera settings"),
+        (np.zeros((SIDE_PX, SIDE_PX + 2, 3), np.uint16), "take all images with the same camera settings"),
     ],
 )
 def test_wrong_images(tmp_path, image, message):
@@ -220,7 +225,7 @@ def test_foreign_image_and_missing_description(tmp_path):
     (folder / "laser" / "600nm.tif").write_bytes(whole[:-4])
     with pytest.raises(ImportFormatError, match=r"600nm\.tif: cannot be read as TIFF"):
         import_band_folder(folder)
-    with pytest.raises(ImportFormatError, match=r"holds no bands\.toml, which says which image shows what"):
+    with pytest.raises(ImportFormatError, match=r"bands\.toml, which tells what each image shows, is missing"):
         import_band_folder(tmp_path)
 
 
@@ -238,12 +243,12 @@ def test_saturated_band_is_named(tmp_path):
         ("f.csv", "wavelength_nm,percent\n400,1\n500,2\n", "a filter needs wavelength_nm,transmission"),
         ("f.csv", "wavelength_nm,transmission\n500,0.1\n400,0.2\n", "wavelengths must increase"),
         ("f.csv", "wavelength_nm,transmission\n400,0\n500,90\n600,0\n", "divide by 100 if it is in per cent"),
-        ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with something above 0"),
+        ("f.csv", "wavelength_nm,transmission\n400,0\n500,0\n600,0\n", "with at least one value above 0"),
         ("f.csv", "wavelength_nm,transmission\n400,0.2\n500,0.9\n", "does not fall to 50 % of its peak"),
-        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "are they in nm"),
+        ("f.csv", "wavelength_nm,transmission\n0.4,0\n0.5,0.9\n0.6,0\n", "check that they are in nm"),
         ("q.csv", "wavelength_nm,response_percent\n450,1\n500,2\n", "of the weight of filter 450 lies outside"),
         ("q.csv", "wavelength_nm,qe\n400,1\n500,2\n", "a monochrome response needs wavelength_nm,response_percent"),
-        ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "somewhere above 0"),
+        ("q.csv", "wavelength_nm,response_percent\n400,0\n500,0\n", "above 0 in one or more"),
         ("q.csv", "wavelength_nm,response_percent\n500,1\n400,2\n", "wavelengths must increase"),
     ],
 )

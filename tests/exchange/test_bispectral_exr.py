@@ -111,8 +111,8 @@ def write(path, channels):
 @pytest.mark.parametrize(
     ("channels", "message"),
     [
-        (["T.400,0nm", "T.410,0nm"], "holds no channels T.<in>nm.<out>nm"),
-        (["Y"], "holds no channels"),
+        (["T.400,0nm", "T.410,0nm"], "has no bispectral channels T.<in>nm.<out>nm"),
+        (["Y"], "has no bispectral channels"),
         (
             ["T.400,0nm", "T.410,0nm", "T.420,0nm", "T.400,0nm.410,0nm"],
             "excitation 400 nm and emission 420 nm is missing",

@@ -134,7 +134,7 @@ def test_names_of_any_text_stay_toml(tmp_path, name):
 
 def test_angles_that_would_share_a_plan_are_refused():
     design = FingerDesign(light=LightPanel(angle_deg=30.00000001))
-    with pytest.raises(RecordError, match=r"panel angle of 30\.00000001 deg: .* named r\.angle-30\.toml too; round"):
+    with pytest.raises(RecordError, match=r"angle of 30\.00000001 deg: .* the same name, r\.angle-30\.toml; round"):
         capture_request(design, "f.toml", "r", VIEW)
 
 
@@ -145,7 +145,10 @@ def test_angles_that_would_share_a_plan_are_refused():
             FingerDesign(indenter=Indenter(shape="cuboid", size_mm=(5.0, 5.0, 5.0))),
             "a capture request needs a cylinder",
         ),
-        (FingerDesign(indenter=Indenter(depth_mm=0.0)), "depth_mm = 0 mm: a capture request needs"),
+        (
+            FingerDesign(indenter=Indenter(depth_mm=0.0)),
+            "depth_mm = 0 mm is not supported, because a capture",
+        ),
         (
             FingerDesign(pad=GelPad(length_mm=10.0, width_mm=4.0), indenter=Indenter(position_mm=5.0, radius_mm=2.0)),
             "too little for the presses that a normal map needs",

@@ -82,7 +82,7 @@ def test_a_record_of_another_kind_is_refused(tmp_path):
     write_record(bands, tmp_path / "b.json", provenance("pytest"))
     outcome = finray(f"export {tmp_path}/b.json --format csv --out {tmp_path}/x.csv")
     assert outcome.status == 2
-    assert "holds band signals, where a paint calibration is needed" in outcome.err
+    assert "contains band signals, but a paint calibration is needed" in outcome.err
 
 
 def test_import_writes_band_signals(tmp_path):

@@ -46,14 +46,14 @@ def test_uncertainties_may_be_absent(tmp_path):
         (csv("displacement_um,force_n"), "column 'displacement_um' is unknown; .* mm and N"),
         (
             csv("displacement_mm;force_n").replace(",", ";"),
-            "semicolons or tabs separate its columns; export it with commas",
+            "columns must be separated by commas, not semicolons or tabs",
         ),
         (csv("displacement_mm,force_uncertainty_n"), "has no column 'force_n'"),
         (csv("displacement_mm,force_n,Force_N", [(*row, 1) for row in ROWS]), "a column appears twice"),
         (csv(rows=[*ROWS, ("1,5", "3,2")]), "line 7: has 4 columns, but the header has 2"),
         (csv(rows=[*ROWS, (2.5, "nan")]), "line 7: 'nan' is not a finite number"),
         (csv(rows=[*ROWS, (2.5, "five")]), "'five' is not a finite number"),
-        ("", "needs a header row and at least two rows"),
+        ("", "must have a header row and at least two rows"),
     ],
 )
 def test_bad_files(text, message, tmp_path):

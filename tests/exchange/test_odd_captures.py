@@ -17,7 +17,7 @@ from finray_calib.exchange._set_files import ArrayFiles, map_of, orientation, pi
 from tests.command_line.running import succeed
 from tests.exchange.recipe_folders import BALLS, flat, grasp, repicture, save, turned_jpeg, write_lab, write_video
 
-DEEP = "has 8 bits, colour, .*{} has 16 bits, colour: values of the two cannot be compared"
+DEEP = "has 8 bits, colour, but .*{} has 16 bits, colour, so their values cannot be compared"
 
 
 def read(folder, text=BALLS):
@@ -316,7 +316,7 @@ def test_a_stack_and_a_map_of_a_turned_tiff_are_refused(tmp_path):
 
 def test_a_map_of_one_channel_with_nan_is_not_called_colours(tmp_path):
     np.save(tmp_path / "m.npy", np.array([[[np.nan], [1.0]], [[2.0], [3.0]]]))
-    with pytest.raises(ImportFormatError, match="25 % of its values are not finite"):
+    with pytest.raises(ImportFormatError, match="25 % of its values are NaN or infinite"):
         map_of(tmp_path / "m.npy", ArrayFiles())
 
 

@@ -160,9 +160,13 @@ def test_renders_that_are_read(tmp_path, captures, change, common, ending):
 def test_renders_that_do_not_fit_their_captures_are_refused_with_what_to_do(tmp_path, captures):
     deep = {name: c.model_copy(update={"bit_depth": 16}) for name, c in captures.items()}
     for change, of, message in (
-        (lambda image: image[::2, ::2], captures, r"its images are 80 x 60 px, those of the capture 1 160 x 120 px"),
-        (same, deep, r"has 8 bits, and the capture has 16; write pictures of 16 bits"),
-        (same, {f"press {k}": c for k, c in captures.items()}, r"no capture of the name of 1.*: press 1, press 2, "),
+        (lambda image: image[::2, ::2], captures, r"the images are 80 x 60 px, but the capture 1 has 160 x 120 px"),
+        (same, deep, r"has 8 bits, but the capture has 16; write pictures of 16 bits"),
+        (
+            same,
+            {f"press {k}": c for k, c in captures.items()},
+            r"such as 1.* the name of a capture.*\(press 1, press 2, ",
+        ),
     ):
         folder = renders_of(tmp_path / message[:9], change=change)
         with pytest.raises(ImportFormatError, match=message):
@@ -191,7 +195,7 @@ def test_a_render_has_the_size_in_which_a_capture_of_bayer_counts_is_compared(tm
         (folder / k / "render.json").write_text('{"encoding": "linear"}')
     found = read_renders(folder, counted)["1"]
     assert compare_press(found, counted["1"], seed=1).headline_skill.estimate > 0.99
-    with pytest.raises(ImportFormatError, match=r"images are 320 x 240 px, those of the capture 1 160 x 120 px"):
+    with pytest.raises(ImportFormatError, match=r"images are 320 x 240 px, but the capture 1 has 160 x 120 px"):
         read_renders(renders_of(tmp_path / "full", change=lambda image: image.repeat(2, 0).repeat(2, 1)), counted)
 
 
@@ -504,11 +508,11 @@ def test_a_json_label_of_another_form_is_refused_with_what_it_holds(tmp_path, te
         # 'mogrify -format png *.png' would write over the originals
         (
             ".png",
-            r"1\.png: is neither .*; its content does not match the ending of its name: copy it again from its source$",
+            r"1\.png: is neither .*; its content does not match its file extension, so copy .*$",
         ),
         (
             ".JPG",
-            r"1\.JPG: is neither .*; its content does not match the ending of its name: copy it again from its source$",
+            r"1\.JPG: is neither .*; its content does not match its file extension, so copy .*$",
         ),
         (".mp4", r"no_contact\.frames_before is missing; state how many frames of a video are without contact"),
     ],

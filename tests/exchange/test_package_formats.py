@@ -61,7 +61,7 @@ def test_missing_file_of_a_press_is_named(my_lab, press):
 
 
 def test_format_that_nobody_brings_is_refused_with_those_there_are(my_lab, press):
-    told = r"no installed package provides the format 'mylab'; there are: format 'my-lab' of package my-lab-files 0\.1"
+    told = r"no installed package provides the format 'mylab' \(available: format 'my-lab' of package my-lab-files 0\.1"
     with pytest.raises(ImportFormatError, match=told):
         capture_by_package("mylab", press)
 
@@ -73,7 +73,7 @@ def test_folder_that_is_not_there_is_refused(my_lab, tmp_path):
 
 def test_format_of_two_packages_is_refused(my_lab, site, press):
     install(site, "other-files", {GROUP: {my_lab: "other_format"}}, other_format=RETURNS)
-    told = r"offered by my-lab-files 0\.1 and by other-files 0\.1, and finray cannot know"
+    told = r"provided by my-lab-files 0\.1 and by other-files 0\.1, so finray cannot tell"
     with pytest.raises(ImportFormatError, match=told):
         capture_by_package(my_lab, press)
 
@@ -82,8 +82,8 @@ def test_format_of_two_packages_is_refused(my_lab, site, press):
     ("source", "told"),
     [
         ("import not_there_at_all\n", r"cannot be imported \(ModuleNotFoundError: .*not_there_at_all"),
-        ("def read(folder): ...\n", r"lacks read_capture\(folder\) in its module bad_format"),
-        (RETURNS, r"press-7: .* returns a dict, where a data_schemas\.TactileCapture is needed"),
+        ("def read(folder): ...\n", r"does not define read_capture\(folder\) in its module bad_format"),
+        (RETURNS, r"press-7: .* returns a dict, but a data_schemas\.TactileCapture is needed"),
         ("raise SystemExit(7)\n", r"cannot be imported \(SystemExit: 7\)"),
         ("def read_capture(folder):\n    return 1 / 0\n", r"press-7: .* fails \(ZeroDivisionError: division by zero\)"),
     ],
@@ -99,5 +99,5 @@ def test_format_that_reads_by_itself_is_refused(site, press):
     source = printed("python").replace("from data_schemas.storage import read_npy", "read_npy = np.load")
     assert source != printed("python")
     install(site, "own-files", {GROUP: {"own": "own_format"}}, own_format=source)
-    with pytest.raises(ImportFormatError, match=r"did not read any file of it .* could not name what"):
+    with pytest.raises(ImportFormatError, match=r"did not read any file of the folder .* could not name its"):
         capture_by_package("own", press)

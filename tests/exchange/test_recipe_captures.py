@@ -364,7 +364,7 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
         read_recipe("gelslim")
     with pytest.raises(ImportFormatError, match="no such folder or zip archive; give the folder that the recipe"):
         read_by_recipe(tmp_path / "nowhere", recipe(PICTURES))
-    with pytest.raises(ImportFormatError, match=r"the ball's diameter: -1 mm must be above 0"):
+    with pytest.raises(ImportFormatError, match=r"the ball's diameter must be above 0 .* got -1 mm"):
         with_sizes(recipe(PICTURES), -1.0, None)
     (tmp_path / "rest.png").write_bytes(b"no picture")
     save(tmp_path / "a.png", flat())
@@ -378,8 +378,8 @@ def test_names_and_sizes_that_cannot_be_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video: ffmpeg"),
-        (b"RIFF\x04\0\0\0AVI ", "holds 0 frames"),
+        (b"RIFF\0\0\0\0WAVE", "cannot be decoded as a video; convert the video with 'ffmpeg"),
+        (b"RIFF\x04\0\0\0AVI ", "has 0 frames"),
         (b"RIFF\x10\0\0\0AVI 00dc\x04\0\0\0abcd", "cannot be decoded as a video"),
     ],
 )
@@ -475,7 +475,7 @@ def test_the_source_of_a_circle_is_kept(tmp_path, monkeypatch):
     for column in ("source", "told_by"):  # the column's name now, and before
         (tmp_path / "mine.csv").write_text(f"image,column_px,row_px,radius_px,{column}\n0001,60,45,20,hearsay\n")
         failed = finray(f"import captures {options} --circles mine.csv --out no")
-        assert f"mine.csv, line 2: {column} must be label or search, got 'hearsay'" in failed.err
+        assert f"mine.csv, line 2: {column} must be 'label' or 'search', got 'hearsay'" in failed.err
 
 
 def test_presses_whose_names_give_one_file_name_are_all_kept(tmp_path, monkeypatch):

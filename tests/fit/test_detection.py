@@ -191,7 +191,7 @@ def test_the_bare_signal_of_a_blank_is_far_above_its_noise(plastic):
 
 def test_without_emission_there_is_no_spectrum(blank, plastic):
     assert isinstance(blank, PaintWithoutEmission)
-    assert blank.detection.statement.startswith("no emission: yield below 0.00")
+    assert blank.detection.statement.startswith("no emission: the yield is below 0.00")
     assert not {"mode_nm", "fwhm_nm", "emission_per_nm", "draws", "parameters"} & blank.model_dump().keys()
     assert blank.reflectance_at_laser == pytest.approx(0.9, rel=0.02)
     assert [r.estimate for r in blank.reflectance] == pytest.approx([0.9] * 8, abs=0.03)
@@ -240,7 +240,7 @@ class TestVerb:
         page = (folder / "plastic.html").read_text().replace("\N{NO-BREAK SPACE}", " ")
         assert "NO EMISSION found in 'white plastic'" in said
         for text in (said, page):
-            assert re.search(r"yield below 0\.00\d+ with 95 % \(modes from 490 to 680 nm\)", text)
+            assert re.search(r"yield is below 0\.00\d+ with 95 % probability \(modes from 490 to 680 nm\)", text)
             assert "FWHM" not in text
             assert "Emits most at" not in text
         assert read_record(stored, PaintWithoutEmission).detection.verdict == "no emission"
@@ -259,7 +259,7 @@ class TestVerb:
 
     def test_reading_it_as_a_paint_says_why_not(self, stored):
         with pytest.raises(
-            RecordError, match=r"holds a paint without emission, where a paint calibration is needed: .*no emission"
+            RecordError, match=r"contains a paint without emission, but a paint calibration is needed; .*no emission"
         ):
             read_record(stored, PaintCalibration)
 

@@ -74,7 +74,7 @@ def estimated_level(data, y, mu):
 
 @pytest.mark.parametrize("spectrum", ["led", "planck-900K", "planck-0900K", "planck-2856"])
 def test_an_unknown_lamp_is_refused(spectrum):
-    with pytest.raises(ValueError, match="is not known; write planck-2856K"):
+    with pytest.raises(ValueError, match="is not supported; give planck-2856K"):
         LampSettings(spectrum=spectrum)
 
 

@@ -302,13 +302,13 @@ def test_a_channel_that_is_no_colour_is_refused(drawn):
     made, _ = drawn
     channel = made.pixels.channel.copy()
     channel[0, 0] = 7  # compiled functions take it as an index
-    with pytest.raises(ValueError, match=r"channel holds 7, but a pixel is 0 \(red\), 1 \(green\) or 2 \(blue\)"):
+    with pytest.raises(ValueError, match=r"channel contains 7, but only 0 \(red\), 1 \(green\) and 2 \(blue\)"):
         changed(made.pixels, channel=channel)
 
 
 def test_sizes_that_disagree_are_refused(drawn):
     _, found = drawn
-    with pytest.raises(ValueError, match=r"area is 31 x 128 px but the maps have 32 x 128"):
+    with pytest.raises(ValueError, match=r"area is 31 x 128 px, but the maps have 32 x 128"):
         changed(found, area=found.area.model_copy(update={"height_px": 31}))
     with pytest.raises(ValueError, match="'mode_sd_nm' has 31 entries along 'row', but 'mode_nm' has 32"):
         changed(found, mode_sd_nm=found.mode_sd_nm[:31])

@@ -167,7 +167,7 @@ def test_presses_are_compared_and_captures_decide(lab):
     assert set(report.provenance.input_sha256) == {f"{lab}/press.json", f"{lab}/capture.json"}
     decision = finray.decide_light_angle(lab / "sweep.json", [report])
     assert decision.validated
-    with pytest.raises(RecordError, match="holds a tactile capture, where a simulated press is needed"):
+    with pytest.raises(RecordError, match="contains a tactile capture, but a simulated press is needed"):
         finray.compare_press(lab / "capture.json", lab / "press.json")
     with pytest.raises(
         RecordError,
@@ -346,7 +346,7 @@ def test_a_record_that_was_changed_to_what_cannot_be_is_not_stored(lab, tmp_path
         match=r"x\.json: not stored, .*: .reflectance. has 8 entries along .filter., but .fluorescence. has 2",
     ):
         finray.write_record(bands.model_copy(update={"fluorescence": np.zeros((2, 3))}), tmp_path / "x.json")
-    with pytest.raises(RecordError, match="BandSignals: has no field 'flourescence'; its fields are bleaching"):
+    with pytest.raises(RecordError, match="BandSignals has no field 'flourescence'; valid names are bleaching"):
         bands.model_copy(update={"flourescence": bands.fluorescence})
     assert list(tmp_path.iterdir()) == []
 
@@ -444,5 +444,5 @@ def test_angles_that_do_not_increase_are_refused(lab, paint, angles_deg):
      finray.render_sensor],
 )  # fmt: skip
 def test_what_is_no_path_is_refused(call):
-    with pytest.raises(RecordError, match="the path of a file or folder is needed; what was given is of type NoneType"):
+    with pytest.raises(RecordError, match="must be the path of a file or folder, got type NoneType"):
         call(None)

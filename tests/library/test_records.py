@@ -97,16 +97,16 @@ def test_draws_go_through_a_function_of_the_user(example):
     rgb = example.propagate(lambda emission_per_nm: emission_per_nm[:3])
     assert rgb.estimate.shape == rgb.low95.shape == rgb.sd.shape == (3,)
     assert repr(rgb) == "PropagatedDraws: 40 draws of shape (3,); see estimate, low95, high95"
-    with pytest.raises(RecordError, match=r"holds one number, .* shape \(3,\); take estimate"):
+    with pytest.raises(RecordError, match=r"must be one number, .* shape \(3,\); use estimate"):
         rgb.as_estimate()
 
 
 def test_a_function_that_gives_no_numbers_is_refused(example):
-    with pytest.raises(RecordError, match=r"a function of an emission is needed, .*; got int"):
+    with pytest.raises(RecordError, match=r"expected a function of an emission, .*, got int"):
         example.propagate(3)
     with pytest.raises(RecordError, match="NaN or an infinite value for 40 of 40 draws"):
         example.propagate(lambda emission_per_nm: float("nan"))
-    with pytest.raises(RecordError, match="array of one shape, for every draw"):
+    with pytest.raises(RecordError, match="array of the same shape, for every draw"):
         example.propagate(lambda emission_per_nm: np.arange(int(1e6 * emission_per_nm.max()) % 97))
     with pytest.raises(RecordError, match="must return a number"):
         example.propagate(lambda emission_per_nm: "red")
@@ -175,7 +175,7 @@ def test_what_is_missing_for_an_export_is_named(example, monkeypatch):
 def test_the_ground_alone_says_where_its_methods_come_from():
     code = "from data_schemas import FingerDesign; FingerDesign().plot()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "FingerDesign.plot(): comes with the package finray_calib, which is not imported; write" in done.stderr
+    assert "FingerDesign.plot() is part of the package finray_calib, which is not imported; write" in done.stderr
 
 
 def test_records_with_arrays_are_compared(lab, paint):

@@ -103,7 +103,7 @@ def test_map_is_stored_and_read_back(uneven, tmp_path):
     np.testing.assert_array_equal(again.fluorescence, pixels.fluorescence)
     np.testing.assert_array_equal(again.channel, pixels.channel)
     assert again.fluorescence.dtype == np.float32
-    with pytest.raises(ValueError, match="area is 48 x 64 px but the arrays have 64 x 64"):
+    with pytest.raises(ValueError, match="area is 48 x 64 px, but the arrays have 64 x 64"):
         PixelSignals.model_validate(
             dict(pixels) | {"area": RegionOfInterest(row_px=0, column_px=0, height_px=48, width_px=64)}
         )

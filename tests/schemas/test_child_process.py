@@ -64,10 +64,10 @@ def test_results_and_messages_come_back_from_one_process(child):
             marks=pytest.mark.skipif(platform.machine() != "x86_64", reason="the bytes are those of x86"),
         ),
         ("raise_signal", {"number": signal.SIGABRT}, r"^was ended by SIGABRT \(a compiled library aborted\)"),
-        ("raise_signal", {"number": signal.SIGKILL}, r"^was killed \(SIGKILL\): by a person, or by the"),
+        ("raise_signal", {"number": signal.SIGKILL}, r"^was killed \(SIGKILL\) by a person, or by the"),
         ("raise_signal", {"number": signal.SIGTERM}, r"^was ended by SIGTERM \(a person or the system asked it"),
-        ("leave", {}, r"^ended by itself with status 7 before it was done"),
-        ("stumble", {}, r"^failed by a fault of finray itself \(TypeError: a fault of ours\)$"),
+        ("leave", {}, r"^exited with status 7 before it had finished"),
+        ("stumble", {}, r"^failed because of a fault in finray itself \(TypeError: a fault of ours\)$"),
     ],
 )  # fmt: skip
 def test_a_death_is_an_error_and_the_next_call_works(child, function, arguments, message):
@@ -103,7 +103,7 @@ def test_errors_of_the_operating_system_keep_their_file(child, tmp_path):
 def test_memory_is_limited_and_told():
     with pytest.raises(
         ProcessDiedError,
-        match=r"^ran out of memory \(its limit is 0\.5 GiB more than it had at the start\); it had taken 0",
+        match=r"^ran out of memory \(its limit is 0\.5 GiB more than it had at the start\) after it had taken 0",
     ):
         call_in_child(f"{DYING}:take_memory", {"gib": 1.0}, memory_bytes=1 << 29)
     assert call_in_child(f"{DYING}:take_memory", {"gib": 0.25}, memory_bytes=1 << 29) == 1 << 28
@@ -121,7 +121,7 @@ def test_what_it_writes_goes_to_its_log_with_the_place_of_a_crash(child, tmp_pat
     child.call(f"{DYING}:write_and_warn", {}, log=log)
     with pytest.raises(ProcessDiedError, match="SIGSEGV"):
         child.call(f"{DYING}:read_address_zero", {}, log=log)
-    with pytest.raises(ProcessDiedError, match="fault of finray itself"):
+    with pytest.raises(ProcessDiedError, match="fault in finray itself"):
         child.call(f"{DYING}:stumble", {}, log=log)
     text = log.read_text()
     assert "to standard output\n" in text

@@ -57,7 +57,7 @@ def test_curves_are_read_by_the_name_of_the_filter(tmp_path: Path):
 def test_note_says_what_holds_where():
     (note,) = coverage_notes([band()], {"600": triangle()}, [FLAT])
     assert "half of its peak at 595.00 and 605.00 nm" in note
-    assert note.endswith("below 10^-5 and outside 590 to 610 nm the blocking_od holds")
+    assert note.endswith("blocking_od is used below 10^-5 and outside 590 to 610 nm")
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_note_says_what_holds_where():
         (
             band(594.9),
             triangle(),
-            r"centre at 600 nm, but filter 600 has center_nm = 594\.9; they may differ by at most 5",
+            r"centred at 600 nm, but filter 600 has center_nm = 594\.9, and they may differ by at most 5",
         ),
         (band(fwhm_nm=40.0), triangle(), r"of the weight of filter 600 lies outside \(at most 20 % is allowed\)"),
         (band(), triangle(600.0, 601.0).model_copy(update={"values": np.array([0.5, 0.8, 0.0])}), "fall to 50 %"),
@@ -88,7 +88,7 @@ def test_other_curves_must_cover_the_measured_band_not_the_nominal_one():
     ("curve", "curves", "message"),
     [
         ("f.csv", {}, "the curve f.csv of filter '600' is missing"),
-        (None, {"600": triangle()}, "'600' is not a filter that names a curve"),
+        (None, {"600": triangle()}, "'600' is not a filter with a curve assigned to it"),
     ],
 )
 def test_record_refuses_a_curve_too_few_or_too_many(curve: str | None, curves: dict[str, SpectralCurve], message: str):

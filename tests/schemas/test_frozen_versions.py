@@ -180,8 +180,8 @@ def test_limits_that_no_rig_keeps_are_read_from_old_reports(tmp_path):
     limits = report.plan.limits
     assert (limits.revisit_rel, limits.read_noise_rel, limits.move_s) == (1e-9, 1.0, 4.0)
     assert report.notes[-2:] == (
-        "the limit revisit_rel was 0 in this report, and is read as 1e-09",
-        "the limit read_noise_rel was 2.5 in this report, and is read as 1",
+        "the limit revisit_rel was 0 in this report, but is read as 1e-09, the nearest allowed value",
+        "the limit read_noise_rel was 2.5 in this report, but is read as 1, the nearest allowed value",
     )
 
 
@@ -327,7 +327,7 @@ def test_an_old_file_that_does_not_fit_names_the_commit_that_wrote_it(tmp_path):
     path.write_text(json.dumps(stored))
     with pytest.raises(
         RecordError,
-        match=r"Earlier programs stored several schemas as version 1; .* written by "
+        match=r"Earlier versions of finray stored different schemas as version 1; .* written by "
         r"commit 8ef2b25",
     ):
         read_record(path, LightAngleDecision)

@@ -15,16 +15,16 @@ from sim import PRESETS, design_toml, preset_design
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[indenter]\nshape = "ball"\nedge_radius_mm = 1.0', r"indenter\.edge_radius_mm has no effect: .* cuboid"),
-        ("[skeleton]\nrib_count = 0\nrib_thickness_mm = 1.2", r"rib_thickness_mm has no effect: .* rib_count = 1 or"),
+        ('[indenter]\nshape = "ball"\nedge_radius_mm = 1.0', r"indenter\.edge_radius_mm has no effect, .* cuboid"),
+        ("[skeleton]\nrib_count = 0\nrib_thickness_mm = 1.2", r"rib_thickness_mm has no effect, .* rib_count = 1 or"),
         ("[skeleton]\nrib_count = 0\nrib_angle_deg = 5.0", r"rib_angle_deg has no effect"),
         (
             "[pad]\nwidth_mm = 30.0\n[mechanics.film]\nyoungs_modulus_mpa = 4000.0\npoisson_ratio = 0.3",
-            r"mechanics\.film has no effect: the pad has no film; add the table \[pad\.film\]",
+            r"mechanics\.film has no effect, because the pad has no film; add the table \[pad\.film\]",
         ),
         (
             '[camera]\ncalibration = "lens.yaml"\nfield_of_view_deg = 90.0',
-            r"camera\.field_of_view_deg has no effect: camera\.calibration already states",
+            r"camera\.field_of_view_deg has no effect, because camera\.calibration already states",
         ),
     ],
 )

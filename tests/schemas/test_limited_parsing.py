@@ -36,15 +36,15 @@ def test_what_a_parser_refuses_is_its_own_error():
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("crashing", r"its parser was ended by SIGSEGV .*; the file is damaged"),
-        ("hanging", r"its parser took longer than 1 s.*; try again when the computer is less busy"),
-        ("filling", r"its parser ran out of memory"),
+        ("crashing", r"because the parser was ended by SIGSEGV .*; the file is corrupted"),
+        ("hanging", r"because the parser took longer than 1 s.*; try again when the computer is less busy"),
+        ("filling", r"because the parser ran out of memory"),
     ],
 )
 def test_a_death_is_one_sentence_and_the_next_file_is_read(monkeypatch, name, words):
     if name == "hanging":
         monkeypatch.setattr(limited_parsing, "LONGEST_PARSING_S", 1.0)
-    with pytest.raises(CurveError, match=rf"^x\.dng: cannot be read as DNG: {words}"):
+    with pytest.raises(CurveError, match=rf"^x\.dng: cannot be read as DNG, {words}"):
         parse(name)
     monkeypatch.undo()
     assert parse("whole")[0]["where"] == "x.dng"

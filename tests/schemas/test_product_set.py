@@ -129,7 +129,7 @@ class Try:
         assert any(is_complete(path) for path in commits) == is_there
         for path in whole.keys() - before.keys():
             if not is_there and path.endswith(".json") and Path(path).exists():
-                with pytest.raises(RecordError, match="belongs to products that were not stored completely"):
+                with pytest.raises(RecordError, match="belongs to products that were not completely stored"):
                     read_record(Path(path), TactileCapture)
         return is_there
 

@@ -25,9 +25,9 @@ def test_consistent_record_is_accepted(record):
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        ((5, 4, 1), r"layout Bayer RGGB needs even rows and columns \(2 x 2 cells\), got 5 x 4"),
-        ((4, 5, 1), "needs even rows and columns .* got 4 x 5"),
-        ((4, 4, 3), r"layout Bayer RGGB needs 1 sample\(s\) per pixel, got 3"),
+        ((5, 4, 1), r"layout Bayer RGGB needs even numbers of rows and columns \(2 x 2 cells\), got 5 x 4"),
+        ((4, 5, 1), "needs even numbers of rows and columns .* got 4 x 5"),
+        ((4, 4, 3), r"layout Bayer RGGB needs 1 sample\(s\) per pixel, but the images have 3"),
     ],
 )
 def test_bayer_capture(shape, message):

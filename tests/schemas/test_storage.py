@@ -130,7 +130,7 @@ def test_second_writer_of_a_record_is_told_that_one_is_at_work(tmp_path, monkeyp
 
     monkeypatch.setattr("os.link", link_while_another_tries)
     write_record(capture(np.ones((30, 30, 1), np.uint16)), tmp_path / "press.json", ORIGIN)
-    assert "another process is writing it now" in outcomes[0]
+    assert "another process seems to be writing this file" in outcomes[0]
     np.testing.assert_array_equal(read_record(tmp_path / "press.json", TactileCapture).contact, 1)
     assert not list(tmp_path.glob(".*"))
 
@@ -199,7 +199,7 @@ def test_nonsense_version_is_refused(tmp_path, version):
 
 def test_wrong_kind_folder_missing_and_broken_files(tmp_path):
     path = write_record(FingerDesign(), tmp_path / "design.json", ORIGIN)
-    with pytest.raises(RecordError, match="holds a finger design, where band signals are needed"):
+    with pytest.raises(RecordError, match="contains a finger design, but band signals are needed"):
         read_record(path, BandSignals)
     with pytest.raises(RecordError, match="is a folder"):
         read_record(tmp_path, FingerDesign)
@@ -227,13 +227,13 @@ class TestArrayFile:
         content = bytearray(array_file.read_bytes())
         content[200] ^= 1
         array_file.write_bytes(bytes(content))
-        with pytest.raises(ChecksumError, match=r"npz: its SHA-256 differs"):
+        with pytest.raises(ChecksumError, match=r"npz: was changed, because its SHA-256 differs"):
             read_record(path, TactileCapture)
 
     def test_missing(self, stored):
         path, array_file = stored
         array_file.unlink()
-        with pytest.raises(ChecksumError, match="is missing; it holds the arrays"):
+        with pytest.raises(ChecksumError, match="is missing, but it contains the arrays"):
             read_record(path, TactileCapture)
 
     @pytest.mark.parametrize("name", ["../secret.npz", "", ".", ".."])
@@ -248,7 +248,7 @@ class TestArrayFile:
     def test_without_its_keys(self, stored):
         path, _ = stored
         write_sealed(path, json.loads(path.read_text()) | {"array_file": {}})
-        with pytest.raises(RecordError, match="must hold 'file' and 'sha256'"):
+        with pytest.raises(RecordError, match="must contain 'file' and 'sha256'"):
             read_record(path, TactileCapture)
 
     def test_pickles_are_never_loaded(self, stored):
@@ -266,7 +266,7 @@ class TestArrayFile:
         envelope = json.loads(path.read_text())
         envelope["array_file"]["sha256"] = sha256_of(array_file)
         write_sealed(path, envelope)
-        with pytest.raises(RecordError, match="array 'no_contact' is missing in it"):
+        with pytest.raises(RecordError, match="array 'no_contact' is missing"):
             read_record(path, TactileCapture)
 
 
@@ -361,7 +361,7 @@ def test_frames_are_checked_and_never_overwritten(tmp_path):
     np.testing.assert_array_equal(read_frame(path, digest), frame)
     with pytest.raises(RecordError, match="not overwritten"):
         write_frame(path, frame, "again")
-    with pytest.raises(ChecksumError, match=r"0001.tiff: SHA-256 differs"):
+    with pytest.raises(ChecksumError, match=r"0001.tiff: the frame was changed, because its SHA-256 differs"):
         read_frame(path, "0" * 64)
     with pytest.raises(ChecksumError, match="frame is missing"):
         read_frame(tmp_path / "frames" / "0002.tiff", digest)
@@ -370,7 +370,7 @@ def test_frames_are_checked_and_never_overwritten(tmp_path):
 def test_a_list_of_failures_says_where_finray_itself_made_a_wrong_record():
     with pytest.raises(FieldError) as wrong:
         Interval(estimate="much", low95=0.0, high95=1.0)
-    assert why_failed(wrong.value).startswith("finray made a record that is not allowed: 'estimate'")
+    assert why_failed(wrong.value).startswith("finray made an invalid record: 'estimate'")
     assert why_failed(RecordError("no such file")) == "no such file"
     with pytest.raises(ValidationError):
         Interval.model_validate({"estimate": "much", "low95": 0.0, "high95": 1.0})

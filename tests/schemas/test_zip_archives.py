@@ -99,7 +99,7 @@ class TestAnArchiveIsReadAsAFolder:
     def test_what_is_not_there_or_too_long_is_named(self, archive: Path) -> None:
         with pytest.raises(RecordError, match=r"set.zip/four.txt: no such file in the archive; give"):
             read_bytes(archive / "four.txt", "a text")
-        with pytest.raises(RecordError, match=r"set.zip/one.txt: is longer than 99 bytes"):
+        with pytest.raises(RecordError, match=r"set.zip/one.txt: is too long; at most 99 bytes"):
             read_bytes(archive / "one.txt", largest_bytes=99)
 
 
@@ -191,12 +191,12 @@ POISONED: dict[str, tuple[Callable[[Path], Path], str]] = {
     "deep": (lambda p: one(p, entry("a/" * 16 + "b")), "more than 16 folders deep"),
     "link": (lambda p: one(p, entry("one.txt", LINK), b"/etc/passwd"), "'one.txt' is a link or a device"),
     "device": (lambda p: one(p, entry("one.txt", DEVICE)), "is a link or a device"),
-    "twice": (_twice, "'one.txt' is in it twice"),
-    "file and folder": (lambda p: packed(p, {"a": b"1", "a/b": b"2"}), "'a' is a file and a folder"),
+    "twice": (_twice, "'one.txt' is in the archive twice"),
+    "file and folder": (lambda p: packed(p, {"a": b"1", "a/b": b"2"}), "'a' is both a file and a folder"),
     "other packing": (lambda p: one(p, entry("a", method=zipfile.ZIP_BZIP2)), "a method other than deflate"),
     "bomb": (lambda p: packed(p, {"a": bytes(32 << 20)}), "grows from .* to 33554432 bytes, over 200 times"),
     "over another": (_overlapping, "overlaps another file"),
-    "forged list": (_forged_list, "its list of files takes 1073741824 bytes, but at most 16777216 are read"),
+    "forged list": (_forged_list, "a list of files of 1073741824 bytes, but at most 16777216 are read"),
     "cut off": (lambda p: (p.write_bytes(packed(p, CONTENT).read_bytes()[:-30]), p)[1], "cannot be read as a zip"),
     "no archive": (lambda p: (p.write_bytes(b"PK\x03\x04" + bytes(99)), p)[1], "cannot be read as a zip archive"),
     "empty": (lambda p: (p.write_bytes(b""), p)[1], "cannot be read as a zip archive"),
@@ -228,7 +228,7 @@ def test_an_encrypted_file_is_refused(tmp_path: Path) -> None:
 def test_too_many_files_and_too_many_bytes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = packed(tmp_path / "set.zip", CONTENT)
     monkeypatch.setattr(limits, "MOST_MEMBERS", 2)
-    with pytest.raises(RecordError, match="holds 3 files, but at most 2 are read"):
+    with pytest.raises(RecordError, match="contains 3 files, but at most 2 are read"):
         folder_at(path)
     monkeypatch.setattr(limits, "MOST_MEMBERS", 3)
     monkeypatch.setattr(limits, "LARGEST_UNPACKED_BYTES", 1000)
@@ -243,7 +243,7 @@ def test_a_file_whose_bytes_changed_is_refused_as_it_is_read(tmp_path: Path, met
     content[30 + len("one.txt") + 3] ^= 0x10
     path.write_bytes(bytes(content))
     with pytest.raises(
-        RecordError, match=r"set.zip/one.txt: is damaged in its archive \(.*\); create the archive again"
+        RecordError, match=r"set.zip/one.txt: is corrupted in the archive \(.*\); create the archive again"
     ):
         read_bytes(path / "one.txt")
     assert read_bytes(path / "two.txt") == b"2"

@@ -134,17 +134,17 @@ def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text
     [
         ("", r"vary"),
         ('[[vary]]\nfield = "seed"\n', r"vary seed: give either values, or low and high"),
-        ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high are both needed, low below high"),
+        ('[[vary]]\nfield = "seed"\nlow = 2.0\nhigh = 1.0\n', r"low and high must both be given, and low must"),
         (vary("seed", [1, 1]), r"vary seed: 1 is listed twice in its values"),
         (
             'combine = "together"\n' + vary("seed", [1, 2, 1]) + vary("light.angle_deg", [5.0, 5.0, 5.0]),
-            r"vary: \[1, 5\.0\] is listed twice, value by value",
+            r"vary: the point \[1, 5\.0\] is listed twice",
         ),
-        (vary("seed", [1]) + vary("seed", [2]), r"seed is given twice; vary it or set it, once"),
-        ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given twice"),
-        ("count = 4\n" + vary("seed", [1]), r'count belongs to combine = "random" only'),
+        (vary("seed", [1]) + vary("seed", [2]), r"seed is given more than once; give it once"),
+        ("[set]\nseed = 3\n" + vary("seed", [1]), r"seed is given more than once"),
+        ("count = 4\n" + vary("seed", [1]), r'count must be given with combine = "random", and only then'),
         ('combine = "random"\ncount = 4\n' + vary("seed", [1]), r'combine = "random" needs low and high, not values'),
-        ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high need combine = "random"; give values'),
+        ('[[vary]]\nfield = "seed"\nlow = 1.0\nhigh = 2.0\n', r'low and high .* with combine = "random"; give'),
         (
             'combine = "together"\n' + vary("seed", [1]) + vary("light.angle_deg", [1.0, 2.0]),
             r"must have the same",

@@ -148,14 +148,14 @@ def test_curves_that_begin_late_are_noted_in_both_records(monkeypatch, paints):
         press.simulate_press(FingerScene(late), press.Rendering(samples_per_pixel=2), {}),
         light_angle.light_angle_sweep(late, {}, [0.0, 1.0, 2.0, 3.0], ProbePaths(2, 2, 1), {}),
     ):
-        held = [note for note in record.notes if "its end value is held" in note]
+        held = [note for note in record.notes if "its end value is used" in note]
         assert len(held) == 3
-        assert held[0].startswith("camera response: red covers 440 to 780 nm; its end value is held for 1")
+        assert held[0].startswith("camera response: red covers only 440 to 780 nm; outside, where 1")
         assert "the led band" in held[0]
 
 
 def test_curves_that_miss_a_band_are_refused(paints):
     bands = paint_bands(paints["red"], paints["green"], DESIGN.light)
-    with pytest.raises(CurveError, match=r"camera\.csv: curve 'red' covers 444 to 780 nm, but 2\d % .* the led band"):
+    with pytest.raises(CurveError, match=r"curve 'red' covers only 444 to 780 nm, and 2\d % .* the led band"):
         finger(paints, first_nm=444.0).camera_matrix(bands)
     assert finger(paints).coverage_notes(bands) == ()

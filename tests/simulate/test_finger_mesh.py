@@ -357,8 +357,8 @@ def test_origins_mark_what_the_paper_gives():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Skeleton(rib_thickness_mm=0.0012), "rib_thickness_mm.*in metres: write 1.2"),
-        (lambda: Skeleton(flange_mm=1500.0), "flange_mm.*in micrometres: write 1.5"),
+        (lambda: Skeleton(rib_thickness_mm=0.0012), "rib_thickness_mm.*in metres, so write 1.2"),
+        (lambda: Skeleton(flange_mm=1500.0), "flange_mm.*in micrometres, so write 1.5"),
         (lambda: Skeleton(rib_width_mm=100.0), "rib_width_mm.*outside 0.2 to 20 mm"),
         (lambda: Skeleton(rib_thickness_mm=2.0, rib_spacing_mm=2.0), "rib_spacing_mm = 2 mm makes the ribs overlap"),
         (
@@ -366,20 +366,20 @@ def test_origins_mark_what_the_paper_gives():
             r"more than rib_thickness_mm / cos\(rib_angle_deg\) = 4 mm",
         ),
         (lambda: Backing(from_z_mm=10.0, to_z_mm=10.5), "to_z_mm = 10.5 mm must lie at least 1 mm above"),
-        (lambda: NeoHookeSolid(c10_mpa=133.3), "in kPa: write 0.1333"),
-        (lambda: NeoHookeSolid(c10_mpa=133300.0), "in Pa: write 0.1333"),
-        (lambda: ElasticSolid(youngs_modulus_mpa=2.1, poisson_ratio=0.38), "in GPa: write 2100"),
+        (lambda: NeoHookeSolid(c10_mpa=133.3), "in kPa, so write 0.1333"),
+        (lambda: NeoHookeSolid(c10_mpa=133300.0), "in Pa, so write 0.1333"),
+        (lambda: ElasticSolid(youngs_modulus_mpa=2.1, poisson_ratio=0.38), "in GPa, so write 2100"),
         (lambda: ElasticSolid(youngs_modulus_mpa=2100.0, poisson_ratio=0.5), "must be below 0.5"),
-        (lambda: OgdenSolid(mu_mpa=(6.0,), alpha=(1.6, 2.0)), "one value per term"),
+        (lambda: OgdenSolid(mu_mpa=(6.0,), alpha=(1.6, 2.0)), "must have the same number of terms"),
         (
             lambda: OgdenSolid(mu_mpa=(5.231, -5.848), alpha=(1.6663, -7.136)),
-            "initial shear modulus, their sum, is -0.617",
+            "initial shear modulus .* must be positive, but is -0.617",
         ),
         (
             lambda: OgdenSolid(mu_mpa=(0.006279, 0.001639)),
-            r"mu_mpa: the initial shear modulus \(the sum\): 0.007918 MPa is .* in GPa: write 7.918",
+            r"mu_mpa: the initial shear modulus \(the sum of the terms\) of 0.007918 MPa is .* in GPa, so write 7.918",
         ),
-        (lambda: FingerDesign(skeleton=Skeleton(width_mm=40.0)), "wider than the fin"),
+        (lambda: FingerDesign(skeleton=Skeleton(width_mm=40.0)), "is too narrow"),
     ],
 )
 def test_impossible_numbers_are_refused_in_the_design(build, message):
@@ -392,7 +392,7 @@ def test_impossible_numbers_are_refused_in_the_design(build, message):
     [
         (
             FingerDesign(pad=GelPad(length_mm=0.07), indenter={"position_mm": 0.03}),
-            "pad.length_mm: .*in metres: write 70",
+            "pad.length_mm: .*in metres, so write 70",
         ),
         (with_skeleton(rib_count=40, rib_thickness_mm=1.6), "rib_count = 40, rib_spacing_mm = 1.92"),
         (with_skeleton(rib_spacing_mm=20.0), "the base and rib 1 of the skeleton overlap"),

@@ -250,7 +250,7 @@ def test_stored_shapes_come_back_equal(tmp_path):
 
 def test_counts_that_do_not_add_up_are_refused():
     record = store_shapes(rest_shape(DESIGN), pressed_shape(DESIGN), "pressed")
-    with pytest.raises(ValueError, match="_counts must be at least 0 and add up to"):
+    with pytest.raises(ValueError, match="_counts must not be negative and must add up to"):
         FingerSurfaces(**record.model_dump() | {"vertex_counts": record.vertex_counts + 1})
 
 

@@ -239,7 +239,7 @@ def test_frames_have_the_noise_that_the_bound_counts_with():
 def test_records_refuse_values_that_have_no_inverse_and_constraints_count():
     with pytest.raises(ValueError, match="made up: values must be positive"):
         AngleObjective(name="made up", meaning="", unit="deg", larger_is_better=False, values=np.array([[1.0, 0.0]]))
-    with pytest.raises(ValueError, match="made up: values at places and the places themselves belong together"):
+    with pytest.raises(ValueError, match="made up: place_values and places_mm must be given together"):
         AngleObjective(
             name="made up", meaning="", unit="deg", larger_is_better=False, values=np.ones((2, 2)),
             place_values=np.ones((2, 2, 3)),

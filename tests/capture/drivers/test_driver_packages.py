@@ -300,7 +300,7 @@ def test_doctor_lists_them_and_says_what_is_wrong(grbl: Path) -> None:
     offered.cache_clear()
     wrong = check_drivers()
     assert wrong["state"] == "note"
-    assert wrong["found"].startswith("camera: driver 'broken' of package broken-camera 0.1 lacks open_camera")
+    assert wrong["found"].startswith("camera: driver 'broken' of package broken-camera 0.1 does not define open_camera")
     assert wrong["mend"].startswith("update it (pip install --upgrade broken-camera)")
 
 
@@ -313,7 +313,7 @@ WORKS = "from contextlib import contextmanager\n@contextmanager\ndef open_wheel(
         ("import no_such_module_anywhere", r"cannot be imported \(ModuleNotFoundError: No module named"),
         ("raise OSError('board')", r"cannot be imported \(OSError: board\)"),
         ("1 +", r"cannot be imported \(SyntaxError"),
-        ("", "lacks open_wheel in its module broken_wheel"),
+        ("", "does not define open_wheel in its module broken_wheel"),
         (WORKS.format("object()"), "returns a device that lacks identity, slots, position, go_to"),
         (WORKS.format("settings.no_such_field"), r"fails when it opens \(AttributeError"),
         ("def open_wheel(settings):\n    return None", r"fails when it opens \(TypeError"),
