@@ -559,8 +559,8 @@ def _unseen(found: TriggerLatency) -> str:
     noisy = sum(one.lit_share_sd > MOST_SHARE_SD for one in found.tries)
     return (
         f"of {len(found.tries)} exposures of {found.exposure_s:.3g} s, {lit} began after the {found.light} was on, "
-        f"{dark} ended before and {noisy} are too noisy: dim the {found.light} or close the aperture, so that "
-        "exposures last longer than switching, and raise latency_tries"
+        f"{dark} ended before the {found.light} was on, and {noisy} are too noisy; dim the {found.light} or close the "
+        "aperture, so that exposures last longer than switching, and raise latency_tries"
     )
 
 

@@ -162,8 +162,9 @@ def unfelt(facts: PressFacts) -> str | None:
         gone = abs(one.zero_shift_n) < FELT_SHARE * one.from_above_n
         if not (grew and gone and one.from_above_n > FELT_SD * one.noise_n):
             return (
-                f"a touch gave {one.from_above_n:.3g} N, {one.deeper_n:.3g} N deeper and {one.zero_shift_n:.3g} N "
-                "after the stage had left, which no pad would give: stage and cell do not confirm each other"
+                f"a touch gave {one.from_above_n:.3g} N, then {one.deeper_n:.3g} N deeper in the pad and "
+                f"{one.zero_shift_n:.3g} N after the stage had left; no pad responds like this, so stage and cell do "
+                "not confirm each other"
             )
     return None
 
@@ -544,8 +545,8 @@ def _in_words(moving: list[MovingStop]) -> str:
     if longest.stood_mm is None or longest.end_mm is None:
         return f"{said}, and the stage's position was unknown afterwards"
     return (
-        f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before its end, and the cell felt up "
-        f"to {longest.peak_n:.3g} N where a press in steps had given {longest.unstopped_n:.3g} N"
+        f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before the end of the move, and the "
+        f"cell felt up to {longest.peak_n:.3g} N; a press in steps had given {longest.unstopped_n:.3g} N"
     )
 
 

@@ -174,7 +174,7 @@ def configure(features: Features, settings: CameraSettings, camera: str) -> RawP
         _switch_off(features, name, camera)
     _equal_white_balance(features, camera)
     if features.has("Gamma"):
-        _set_number(features, "Gamma", 1.0, 1e-3, camera, "gamma is fixed at 1")
+        _set_number(features, "Gamma", 1.0, 1e-3, camera, "gamma must be 1")
     _whole_frame(features, settings, camera)
     _set_gain(features, settings.gain_db, camera)
     return pixels
@@ -288,7 +288,7 @@ def _equal_white_balance(features: Features, camera: str) -> None:
         return
     for colour in features.entries("BalanceRatioSelector"):
         _set_text(features, "BalanceRatioSelector", colour, camera)
-        _set_number(features, "BalanceRatio", 1.0, BALANCE_STEP, camera, f"white balance ({colour}) changes raw counts")
+        _set_number(features, "BalanceRatio", 1.0, BALANCE_STEP, camera, f"white balance ({colour}) must be off")
 
 
 def _set_gain(features: Features, gain_db: float, camera: str) -> None:

@@ -191,10 +191,10 @@ class Journal:
         except NoAnswerError:
             raise disk_hangs(self._path, self._path.parent) from None
         except OSError as error:
-            resume = f"finray capture --resume {self._path.parent}"
+            resume = f"run 'finray capture --resume {self._path.parent}'"
             raise CaptureError(
                 f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
-                f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
+                f"{resume if self._nameless is None else 'begin the capture again (nothing was captured yet)'}"
             ) from None
 
     def _write(self, line: str) -> None:

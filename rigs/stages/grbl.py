@@ -410,8 +410,8 @@ def _in_words(line: str) -> str:
     known = _ALARMS if kind == "ALARM" else _ERRORS
     words = known.get(int(number), "see its documents") if number.isdecimal() else "see its documents"
     if kind == "ALARM":
-        return f"alarm {number}: {words}; its position is unknown now: free it by hand, then home it again"
-    return f"refuses a command with error {number}: {words}"
+        return f"alarm {number} ({words}); the position is unknown now. Free the stage by hand, then home it again"
+    return f"refuses a command with error {number} ({words})"
 
 
 @contextmanager

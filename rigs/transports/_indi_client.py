@@ -453,7 +453,7 @@ class IndiClient(IndiDevice):
 
     def _unknown_device(self, end_s: float) -> TimedOutError:
         known = ", ".join(f"'{device}'" for device in sorted(devices_at(self._where, end_s)))
-        what = f"the server has no such device, only {known}" if known else "the server does not report this device"
+        what = f"has no such device, only {known}" if known else "does not report this device"
         return TimedOutError(
             f"{self.name}: the server {what}; correct the address, or start indiserver with the driver of the device"
         )
