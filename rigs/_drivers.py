@@ -351,7 +351,7 @@ def detect(limit_s: float = LOOK_WITHIN_S) -> Detection:
     if len(boards) > 1:
         notes.append(
             f"{len(boards)} lights run the same firmware ({', '.join(boards)}); to learn which one is the laser, "
-            "unplug its board and search again"
+            "unplug the laser's board and search again"
         )
     return Detection(tuple(devices), tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(not_searched)))
 
