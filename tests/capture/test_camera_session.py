@@ -215,8 +215,8 @@ def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Pa
     [
         (None, "no such folder; give the folder that 'finray capture' wrote"),
         ("", "cannot be read as JSON"),
-        ("[]", "holds no record of a known kind, where a capture session or a camera session is needed"),
-        ('{"kind": "BandSignals"}', "holds band signals, where a capture session or a camera session is needed"),
+        ("[]", "contains no record of a known kind, but a capture session or a camera session is needed"),
+        ('{"kind": "BandSignals"}', "contains band signals, but a capture session or a camera session is needed"),
     ],
 )
 def test_folder_of_no_kind_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
@@ -241,7 +241,7 @@ def test_folder_of_no_kind_is_refused(tmp_path: Path, content: str | None, messa
         ),
         (
             {"region": {"row_px": 0, "column_px": 0, "height_px": 60, "width_px": 1}},
-            r"plan\.region\.width_px: 1 px is empty; 2 to 320 px are allowed",
+            r"plan\.region\.width_px: 1 px is too small; 2 to 320 px are allowed",
         ),
     ],
 )
@@ -252,7 +252,7 @@ def test_plan_that_does_not_fit_the_rig(rig: RigFile, fields: dict[str, object],
 
 def test_folder_that_is_not_empty_is_refused(rig: RigFile, tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(CaptureError, match="is not an empty folder; a capture never overwrites"):
+    with pytest.raises(CaptureError, match="is not an empty folder, and a capture never overwrites"):
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path, "finray capture"))
 
 
@@ -262,7 +262,7 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
 
     with pytest.raises(
         CaptureError,
-        match=r"saturates in 0\.00\d+ s; the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
+        match=r"saturates in 0\.00\d+ s, so the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
     ):
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")

@@ -222,7 +222,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
     (tmp_path / "by-hand.toml").write_text(text, encoding="utf-8")
     outcome = finray(f"capture {practice}/rig-presses.toml --rig {tmp_path}/by-hand.toml --dry-run")
     assert outcome.status == 2
-    assert "plan.presses (entry 2): names a force, but the rig has no stage" in outcome.err
+    assert "plan.presses (entry 2): gives a force, but the rig has no stage" in outcome.err
 
 
 @pytest.mark.parametrize(
@@ -569,7 +569,7 @@ def test_calibration_of_another_cell_is_refused_or_told(practice):
     write_record(record.model_copy(update={"cell": "bench, hx711 /dev/ttyACM0"}), path, provenance("pytest"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', but load_cell.driver of the rig file is" in outcome.err
+    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', but load_cell.driver in the rig file is" in outcome.err
     assert "is the calibration of" in finray(f"rig show {practice}/rig.toml").out
     path.unlink()
     write_record(record.model_copy(update={"cell": "bench, simulated elsewhere"}), path, provenance("pytest"))

@@ -209,7 +209,7 @@ def spoil(folder, kind):
         ("press incomplete", r"press.toml: 'indenter.radius_mm': is missing"),
         ("mixed", r"mixes raw and processed images"),
         ("sizes differ", r"differ in Bayer order, bits or size"),
-        ("no raw page", r"holds no colour filter array \(Bayer\) image"),
+        ("no raw page", r"contains no colour filter array \(Bayer\) image"),
         ("not a DNG", r"cannot be read as DNG .*; check that the file is complete"),
         ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not supported"),
         ("odd white level", r"white level 1000 DN is not supported; it must be 2\^bits - 1"),
@@ -251,7 +251,9 @@ def test_tiffs_that_are_no_bayer_counts_are_refused(raw_folder):
     (raw_folder / "contact.dng").unlink()
     options = RaspberryPiOptions(bayer_order="RGGB", bit_depth=10)
     tifffile.imwrite(raw_folder / "contact.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
-    with pytest.raises(ImportFormatError, match=r"contact.tif: is uint8 of shape \(8, 8, 3\); raw Bayer counts are"):
+    with pytest.raises(
+        ImportFormatError, match=r"contact.tif: is uint8 of shape \(8, 8, 3\), but raw Bayer counts must be"
+    ):
         raspberry_pi_capture(raw_folder, options)
     (raw_folder / "contact.tif").write_bytes(b"no image")
     with pytest.raises(ImportFormatError, match=r"contact.tif: cannot be read as TIFF"):

@@ -174,8 +174,8 @@ def test_settings_are_read_in_seconds_and_fractions():
         ({"AeState": 2}, r"auto exposure \(AeState 1 searching, 2 converged\) was on \(AeState = 2\)"),
         ({"ExposureTime": None}, r"its metadata has no ExposureTime, so its exposure is not known"),
         ({"ColourGains": None}, r"its metadata has no ColourGains"),
-        ({"ColourGains": [1.0]}, r"ColourGains is \[1.0\]; it must be 2 finite number\(s\) above 0"),
-        ({"AnalogueGain": "high"}, r"AnalogueGain is 'high'; it must be 1 finite number"),
+        ({"ColourGains": [1.0]}, r"ColourGains is \[1.0\], but must be 2 finite number\(s\) above 0"),
+        ({"AnalogueGain": "high"}, r"AnalogueGain is 'high', but must be 1 finite number"),
         ({"ColourCorrectionMatrix": [1.0] * 8}, r"ColourCorrectionMatrix is .*must be 9 finite number\(s\)$"),
     ],
 )
@@ -201,5 +201,7 @@ def test_settings_that_differ_are_refused(changes, message):
 
 @pytest.mark.parametrize("level", [-1, 65536])
 def test_a_black_level_beyond_sixteen_bits_is_refused(level):
-    with pytest.raises(ImportFormatError, match=r"contact\.dng: SensorBlackLevels is .*; black levels are 0 to 65535"):
+    with pytest.raises(
+        ImportFormatError, match=r"contact\.dng: SensorBlackLevels is .*, but black levels must be 0 to 65535"
+    ):
         capture_settings(metadata(SensorBlackLevels=[4096, 4096, 4096, level]), "contact.dng")

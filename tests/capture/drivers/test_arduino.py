@@ -175,7 +175,7 @@ class TestOpening:
             (b"LASER 1.1\n", RefusedError, r"runs firmware 1\.1; .* whose dead-man acts within 0\.4 s: flash"),
             (b"ERR\n", RefusedError, r"sends b'ERR\\n', but does not state its firmware; flash"),
             (b"Command error CMD_NOT_DEFINED\n", RefusedError, "or correct the address"),
-            (b"", TimedOutError, "nothing came within .* s; check the cable"),
+            (b"", TimedOutError, "sent nothing within .* s; check the cable"),
         ],
     )
     def test_something_else_answers(self, answer, error, match, monkeypatch):

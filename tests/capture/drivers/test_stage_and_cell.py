@@ -257,7 +257,7 @@ def test_stage_that_rests_elsewhere_is_told(homed, bench, monkeypatch):
         bench.controller.port.say(b"ok\r\n")
 
     monkeypatch.setattr(bench.controller, "_jog", jog)
-    with pytest.raises(WrongPositionError, match=r"stands at 0.000 mm, but was sent to -1.000 mm"):
+    with pytest.raises(WrongPositionError, match=r"was sent to -1.000 mm, but stands at 0.000 mm"):
         homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
@@ -397,7 +397,7 @@ def test_damaged_lines_for_ever_are_told_in_time(cell, bench):
     reader.join(3.0)
     assert ended, "still waiting after 3 s"
     assert ended[0] < 0.8
-    assert "only damaged lines came for 0.3 s" in ended[1]
+    assert "sent only corrupted data for 0.3 s" in ended[1]
 
 
 def read_on(cell: Hx711Cell, readings: int) -> None:
