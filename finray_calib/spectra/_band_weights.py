@@ -216,7 +216,7 @@ def _lit_white(white_signal: FloatArray) -> FloatArray:
     if (white_signal <= 0).any():
         band, channel = np.argwhere(white_signal <= 0)[0]
         raise FitError(
-            f"white signal of band {band}, channel {channel}: is zero, because lamp, white reference, filter and "
+            f"white signal of band {band}, channel {channel} is zero, because lamp, white reference, filter and "
             "camera curves have no common wavelength; check their ranges in nm"
         )
     return white_signal

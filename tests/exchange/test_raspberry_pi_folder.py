@@ -268,5 +268,5 @@ def test_tuning_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match=r"imx219.json: cannot be read as JSON"):
         read_tuning(path)
     path.write_text("{}")
-    with pytest.raises(ImportFormatError, match=r"imx219.json: tuning: holds no 'rpi.' algorithm"):
+    with pytest.raises(ImportFormatError, match=r"imx219.json: tuning: contains no 'rpi.' algorithm"):
         read_tuning(path)

@@ -271,7 +271,7 @@ def only_the_first_of_each(frame: Frame, counts: np.ndarray) -> np.ndarray | Non
         (saturated, r"red channel: only 0 of 16 exposures give unsaturated counts at 0 % to 70 % .* 16 are saturated"),
         (nan, r"white frames of 0\.0014375 s: frame 1 holds NaN"),
         (frozen, r"red channel: the frames of \d+ of \d+ exposures are identical \(variance 0 DN\^2\)"),
-        (short, r"white frames of 0\.0014375 s: frame 2 has 60 x 64 px, those before have 64 x 64 px"),
+        (short, r"white frames of 0\.0014375 s: frame 2 has 60 x 64 px, but the frames before it have 64 x 64 px"),
         (
             only_the_first_of_each,
             r"white frames of 0\.0014375 s: has 1 frame, but at least 2 frames of the same exposure",

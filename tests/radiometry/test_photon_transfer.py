@@ -356,7 +356,7 @@ def test_intervals_of_estimates() -> None:
 
 def test_frames_of_unequal_size_are_refused() -> None:
     with pytest.raises(
-        RadiometryError, match=r"test frames: frame 2 has 8 x 6 px, those before have 8 x 8 px; frames of"
+        RadiometryError, match=r"test frames: frame 2 has 8 x 6 px, but the frames before it have 8 x 8 px; capture"
     ):
         stack_of(np.ones((8, 8)), np.ones((8, 6)))
 

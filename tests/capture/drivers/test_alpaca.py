@@ -304,7 +304,7 @@ def test_errors_of_the_simulator_are_ours(server: AlpacaServer) -> None:
         open_wheel(wheel_settings(f"{server.url}/0", "alpaca", 9), OPERATOR),
     ):
         pass
-    with pytest.raises(CaptureError, match=r"check the numbers|correct the rig file or the plan"):
+    with pytest.raises(CaptureError, match=r"check the device number|correct the rig file or the plan"):
         AlpacaClient(alpaca_address(f"{server.url}/7", "wheel", FORM), "filterwheel", 7, "wheel").connect(soon())
 
 
