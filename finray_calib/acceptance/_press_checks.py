@@ -58,8 +58,8 @@ FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
 NO_SCALE: Final = "that is the controller's own count; it is not confirmed that {axis} travels as far as commanded"
 NO_BLOCK: Final = (
-    "only the controller reports its travel: no block of known thickness was laid on the pad; name one in the plan "
-    "([gauge_block])"
+    "only the controller reports its travel, because no block of known thickness was laid on the pad; name a block "
+    "in the plan ([gauge_block])"
 )
 NO_PICTURE_SCALE: Final = "the pixel size in mm is not known; give mm_per_px and mm_per_px_u_rel in the plan"
 NO_DENT: Final = (
@@ -73,8 +73,8 @@ ONLY_COUNTED: Final = (
     "harder, or watch it with a dial gauge"
 )
 NO_MASS: Final = (
-    "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
-    "exceed the plan's limit; name one in the plan ([known_mass])"
+    "no known mass was laid on the cell in this check, so a wrong factor would not show, and the true force can "
+    "exceed the plan's limit; name a mass in the plan ([known_mass])"
 )
 UNCERTIFIED: Final = "no certificate of the mass recorded"
 LAID_SHARE: Final = 0.05
@@ -241,7 +241,7 @@ def _factor(
     )
     evidence += f"by the calibration, {weight_n:.4g} N by its mass; {known.certificate or UNCERTIFIED}"
     if abs(force_n) < LAID_SHARE * weight_n:
-        why = f"{evidence}; hardly any force was felt: place the mass on the cell, and check again"
+        why = f"{evidence}, but hardly any force was felt; place the mass on the cell, and check again"
         return unmeasured("load cell", name, what, "UNDECIDED", why, limit_text(-most, most, "%"))
     found = measured(
         "load cell", name, what, 100 * (force_n / weight_n - 1.0), 100 * sd_n / weight_n, "%", evidence, limits=limits

@@ -503,8 +503,8 @@ def error_size(error: Floats, systematic: Floats, noise: Floats) -> Interval:
 
 
 UNKNOWN_UNCERTAINTY = (
-    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so that "
-    "u_val holds the numerical error at most. Simulate with 'press --sensitivities', and give the columns "
+    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so u_val "
+    "contains at most the numerical error. Simulate with 'press --sensitivities', and give the columns "
     "force_uncertainty_n and displacement_uncertainty_mm"
 )
 

@@ -29,7 +29,7 @@ _ENERGY = (
 )
 _PHOTONS = (
     "under the laser at {laser_nm:g} nm more photons leave the paint than come in, by more than two standard "
-    "deviations ({emitted:.3f} emitted, {reflected:.3f} reflected, together {both:.3f} +- {sd:.3f}): check the "
+    "deviations ({emitted:.3f} emitted, {reflected:.3f} reflected, together {both:.3f} +- {sd:.3f}); check the "
     "calibration of emission and reflectance"
 )
 

@@ -251,8 +251,8 @@ class FrameStore:
             if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
                 raise SignalChangedError(
                     f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at metering, a "
-                    f"change beyond the allowed factor of {LARGEST_CHANGE:g}. The wheel slipped, the light changed or "
-                    "something moved; correct the cause, then continue or resume (all steps are metered again)"
+                    f"change beyond the allowed factor of {LARGEST_CHANGE:g}, so the wheel slipped, the light changed "
+                    "or something moved; correct the cause, then continue or resume (all steps are metered again)"
                 )
 
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
@@ -500,7 +500,7 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
     if not mono:
         return ()
     return (
-        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
-        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
+        f"camera: its frames are {', '.join(mono)}, but radiometry reads them as Bayer RGGB, so red, green and blue "
+        "will have the same response, and only the filters separate wavelengths; for a colour camera, choose its raw "
         "Bayer pixel format",
     )

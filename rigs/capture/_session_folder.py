@@ -362,7 +362,7 @@ def verify_session(folder: Path) -> SessionCheck:
     captured = {folder / JOURNAL_NAME, *digests}
     for file in unlisted:
         if file in captured:
-            text = f"does not list {file.relative_to(folder).as_posix()}: a line was removed"
+            text = f"does not list {file.relative_to(folder).as_posix()}, so a line was removed"
             faults.append(FileFault(folder / MANIFEST_NAME, "changed", text))
         else:
             notes.append(f"{file.relative_to(folder)}: was added later; {MANIFEST_NAME} does not list it")
@@ -431,7 +431,7 @@ def _journal_faults(
     return [FileFault(path, "changed", text) for text in said]
 
 
-_NO_END: Final = "its last line is not the end of the session, so that lines are missing"
+_NO_END: Final = "its last line is not the end of the session, so lines are missing"
 _NO_CHECKSUM: Final = f"lacks the line that holds the checksum of {SESSION_NAME}"
 
 
@@ -444,7 +444,7 @@ def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Itera
     if noted is None:
         yield _NO_CHECKSUM
     elif session_sha256 is not None and noted.get("sha256") != session_sha256:
-        yield f"holds a checksum of {SESSION_NAME} that differs from the file's: one of the two was changed"
+        yield f"holds a checksum of {SESSION_NAME} that differs from the file's, so one of the two was changed"
 
 
 def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:

@@ -74,7 +74,7 @@ TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
 PRESS_LESS: Final = "press less deeply, or raise force_limit_n if finger and load cell can bear it"
 NOT_CLEAR: Final = (
-    "the indenter touches before clear_mm of the rig file, or an axis is reversed: correct clear_mm or the axis"
+    "the indenter touches before clear_mm of the rig file, or an axis is reversed; correct clear_mm or the axis"
 )
 
 
