@@ -102,7 +102,8 @@ def test_a_sensor_that_stops_below_full_scale_is_told_from_light_that_changed(
     rig = simulated_rig("red", width_px=320, height_px=256)
     monkeypatch.setattr("rigs._open_rig.FULL_WELL_MARGIN", share)
     with pytest.raises(
-        CaptureError, match=r"counts stop at \d+ DN, below full scale \(1023 DN\): .*check bit_depth, or raise the gain"
+        CaptureError,
+        match=r"counts stop at \d+ DN, below full scale \(1023 DN\)\. .*check bit_depth, or raise the gain",
     ) as told:
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path / "s", "pytest"))
     stops_dn = int(str(told.value).partition("counts stop at ")[2].partition(" ")[0])
@@ -267,7 +268,7 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")
         )
-    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, but at most 0\.004 s are allowed: brighten"):
+    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, but at most 0\.004 s are allowed; brighten"):
         capture_camera_session(rig, changed(longest_exposure_s=0.004), SessionRequest(tmp_path / "b", "finray capture"))
     with pytest.raises(SaturatedError, match=r"white \(white, lamp\) through filter 532: the region is brighter"):
         capture_camera_session(
@@ -287,7 +288,7 @@ def test_levels_of_three_channels(rig: RigFile) -> None:
     assert np.sum(levels_s < 1.16 * 0.1007) >= 20
     assert levels_s.max() == PLAN.longest_exposure_s
     assert level_notes(saturation_s, PLAN, rig.camera) == (
-        "blue does not saturate within 5 s: use a lamp or filter with more blue light",
+        "blue does not saturate within 5 s; use a lamp or filter with more blue light",
     )
     even = dict.fromkeys(("red", "green", "blue"), 0.02)
     assert len(level_exposures_s(even, PLAN, rig.camera)) == 12
@@ -356,7 +357,7 @@ def test_faults_may_cost_what_the_session_stated(rig: RigFile, tmp_path: Path) -
 
     with open_rig(rig, Path()) as opened:
         broken = replace(opened, camera=Repeating(opened.camera, 100))
-        with pytest.raises(HealingTimeError, match=f"and at most {stated_s:.0f} s are allowed"):
+        with pytest.raises(HealingTimeError, match=f"but at most {stated_s:.0f} s are allowed"):
             capture_camera_with(broken, rig, plan, camera_step(plan, rig), SessionRequest(tmp_path / "out", "pytest"))
     assert len(faults) == 6
 

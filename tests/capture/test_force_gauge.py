@@ -115,7 +115,7 @@ def test_force_limit_counts_from_the_first_zero_too():
             gauge.follow(force._replace(noise_n=1.0))
         assert abs(gauge.reading_n()) < 0.01
         assert gauge.strongest_n() == pytest.approx(0.98, abs=0.01)
-        with pytest.raises(CaptureError, match="its zero drifts, or the indenter still presses the pad"):
+        with pytest.raises(CaptureError, match="Its zero drifts, or the indenter still presses the pad"):
             gauge.tare()
 
 

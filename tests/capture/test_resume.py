@@ -243,7 +243,7 @@ def test_another_board_of_the_lamp_is_refused(
     monkeypatch.setattr(SimulatedLight, "identity", lambda light: asked(light).model_copy(update=said))
     out = captured_in_part(rig, small, tmp_path / "stopped")
     said["serial"] = "L-2"
-    message = r"laser at .*'L-2' is connected now, .* began with 'L-1': plug the boards in as before, or capture the"
+    message = r"laser at .*'L-2' is connected now, .* began with 'L-1'; plug the boards in as before, or capture the"
     with pytest.raises(CaptureError, match=message):
         resumed(rig, small, out)
     said["serial"] = "L-1"

@@ -169,7 +169,9 @@ def test_frame_unlike_its_metering_is_not_stored_and_is_taken_again(
 
     with open_rig(rig, Path()) as opened:
         failing = replace(opened, camera=ChangedCamera(opened.camera, dimmed))
-        with pytest.raises(CaptureError, match=r"DN/s in .* at metering .* correct the cause, then continue or resume"):
+        with pytest.raises(
+            CaptureError, match=r"DN/s in .* at metering, .* correct the cause, then continue or resume"
+        ):
             capture(failing, rig, small, tmp_path)
         assert dark(opened)
     before = set(read_interrupted(tmp_path).frames)
@@ -236,7 +238,7 @@ def test_disk_that_hangs_ends_the_session_in_the_dark_and_it_can_be_resumed(
         patch.setattr(frame_store, "write_frame", hangs)
         patch.setattr(frame_store, "WRITE_WITHIN_S", 0.3)
         try:
-            with pytest.raises(CaptureError, match=r"the disk does not respond: nothing was written .*--resume"):
+            with pytest.raises(CaptureError, match=r"the disk does not respond .nothing was written .*--resume"):
                 capture(opened, rig, small, tmp_path)
             assert dark(opened)
             assert lit == [True]
@@ -255,7 +257,7 @@ def test_camera_without_colours_is_noted(rig: RigFile, small: PaintPlan, tmp_pat
     with open_rig(rig, Path()) as opened:
         session = capture(replace(opened, camera=ChangedCamera(opened.camera, mono)), rig, small, tmp_path)
     (note,) = [note for note in session.notes if note not in opened.notes]
-    assert "its frames are Mono16, and radiometry reads them as Bayer RGGB" in note
+    assert "its frames are Mono16, but radiometry reads them as Bayer RGGB" in note
 
 
 def test_saturated_pixels_are_exposed_again_shorter_and_flagged(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:

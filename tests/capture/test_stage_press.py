@@ -176,7 +176,7 @@ def test_lost_steps_are_seen_at_the_next_touch(practice):
     changed(practice, "rig-presses.toml", ("led_current_ma", "repeats = 3\nled_current_ma"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "the stage lost steps, or the finger moved" in outcome.err
+    assert "The stage lost steps, or the finger moved" in outcome.err
 
 
 def test_resumed_session_presses_what_is_missing_only(practice):

@@ -86,7 +86,7 @@ def test_rows_are_band_major_and_the_laser_is_found(weights):
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"wavelength_nm": GRID[::-1]}, CurveError, "increasing wavelengths"),
+        ({"wavelength_nm": GRID[::-1]}, CurveError, "wavelengths in nm, in increasing order"),
         ({"lamp": np.ones(7)}, CurveError, "lamp: shape"),
         ({"white_reflectance": np.full(401, -0.1)}, CurveError, "negative or not finite"),
         ({"laser": np.full(401, np.nan)}, CurveError, "negative or not finite"),

@@ -94,7 +94,7 @@ def change(name, **parameters):
         (change("rpi.contrast", gamma_curve=[0, 0, 9, 9, 9, 10]), r"gamma_curve must have two or more pairs"),
         (change("rpi.contrast", gamma_curve=[0, 0, 9]), r"gamma_curve is not an array of numbers of shape \(-1, 2\)"),
         (change("rpi.contrast", lo_max=float("nan")), r"rpi.contrast contains NaN"),
-        (change("rpi.alsc", luminance_lut=[1.0] * 100), r"luminance_lut has 100 entries; .*\(192\) or 32 x 32"),
+        (change("rpi.alsc", luminance_lut=[1.0] * 100), r"luminance_lut has 100 entries, but .*\(192\) or 32 x 32"),
         (change("rpi.alsc", luminance_lut=[[1.0, 2.0], [3.0]]), r"luminance_lut is not an array of numbers"),
         (change("rpi.alsc", luminance_strength="strong"), r"luminance_strength is not an array of numbers"),
         (change("rpi.alsc", luminance_lut=[-9.0] * 192), r"contains a gain that is zero or negative"),

@@ -90,7 +90,7 @@ def test_readings_carry_the_time_of_the_board(tmp_path: Path) -> None:
 def test_other_boards_are_refused(tmp_path: Path) -> None:
     with diode_board(tmp_path, lambda: False) as board:
         board.greets = b"LIGHT 2.0\n"
-        with pytest.raises(RefusedError, match=r"firmware 2\.0; .* flash rigs/lights/firmware/photodiode.c"):
+        with pytest.raises(RefusedError, match=r"firmware 2\.0, but .* flash rigs/lights/firmware/photodiode.c"):
             open_photodiode(str(board.port.path)).__enter__()
         board.greets = b""
         with pytest.raises(TimedOutError, match=r"sent no greeting within 3\.5 s; check the cable"):

@@ -243,7 +243,7 @@ def test_another_board_at_the_address_of_the_stage_is_not_driven(bench, monkeypa
     with open_stage(stage_settings(str(port.path))) as stage:
         stage.home(10.0, nothing)
         threading.Timer(0.3, replug).start()
-        with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP: .*another board .*'B', before 'A'.*Z = -"):
+        with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP: .*another board .*'B', but 'A' before.*Z = -"):
             stage.move("Z", -19.0, 1.0, nothing)
         with pytest.raises(UnsafeError, match="another board answers now"):
             stage.stop()
