@@ -79,8 +79,8 @@ def read_dng(content: bytes, path: Path) -> DngImage:
     order = ORDER_OF_PATTERN.get("".join(map(str, sites)))
     if order is None or counts.ndim != 2:
         raise BadFrameError(
-            f"{path}: Bayer pattern {sites} (red 0, green 1, blue 2) of an image of shape {counts.shape} is not "
-            f"supported; supported patterns are {', '.join(FIRST_RED)}, of shape (H, W)"
+            f"{path}: Bayer pattern {sites} of an image of shape {counts.shape} is not supported; supported patterns "
+            f"are {', '.join(FIRST_RED)} (red 0, green 1, blue 2), of shape (H, W)"
         )
     return DngImage(counts, order, white_dn)
 

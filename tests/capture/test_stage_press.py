@@ -146,7 +146,7 @@ def test_force_limit_stops_the_stage_and_it_leaves(practice, monkeypatch):
         ("stuck cell, 30 s", "so it is stuck"),
         ("silent cell, 30 s", "did not answer within 0.5 s"),
         ("drifting cell, 60 mN/s", "can be distinguished from noise and drift"),
-        ("drifting cell, 100 mN/s", "its zero drifts"),
+        ("drifting cell, 100 mN/s", "Its zero drifts, or the indenter"),
     ],
 )
 def test_faults_of_the_cell_stop_the_stage(practice, fault, words):

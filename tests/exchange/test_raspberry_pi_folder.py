@@ -197,7 +197,7 @@ def spoil(folder, kind):
     [
         ("auto exposure", r"contact.dng: auto exposure was on"),
         ("auto white balance", r"no_contact.dng: auto white balance was on"),
-        ("exposure changed", r"ExposureTime differs: 0.01 s in contact.dng, 0.02 s in no_contact.dng"),
+        ("exposure changed", r"ExposureTime is 0.01 s in contact.dng, but 0.02 s in no_contact.dng"),
         ("no metadata", r"contact.dng: has no metadata beside it \(contact.json\)"),
         ("metadata broken", r"contact.json: cannot be read as JSON"),
         ("metadata too deep", r"contact.json: cannot be read as JSON"),

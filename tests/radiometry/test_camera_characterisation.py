@@ -268,8 +268,8 @@ def only_the_first_of_each(frame: Frame, counts: np.ndarray) -> np.ndarray | Non
         ),
         (darkless_at_one_exposure, r"dark frames are missing at 0\.0071875 s \(1 of 16 exposures lack them\)"),
         (few_levels, r"has flat frames at only 9 exposures, but at least 10 exposures are needed; raise plan\.levels"),
-        (saturated, r"red channel: only 0 of 16 exposures give unsaturated counts at 0 % to 70 % .* 16 are saturated"),
-        (nan, r"white frames of 0\.0014375 s: frame 1 holds NaN"),
+        (saturated, r"red channel: only 0 of 16 exposures give unsaturated counts at 0 % to 70 % .*16 are saturated"),
+        (nan, r"white frames of 0\.0014375 s: frame 1 contains NaN"),
         (frozen, r"red channel: the frames of \d+ of \d+ exposures are identical \(variance 0 DN\^2\)"),
         (short, r"white frames of 0\.0014375 s: frame 2 has 60 x 64 px, but the frames before it have 64 x 64 px"),
         (
