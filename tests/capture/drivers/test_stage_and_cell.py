@@ -123,14 +123,14 @@ def test_own_travel_of_the_controller_is_told_in_words(bench):
     wide = stage_settings(str(bench.controller.port.path), press_travel_mm=(-90.0, 0.0))
     with open_stage(wide) as stage:
         stage.home(10.0, nothing)
-        with pytest.raises(RefusedError, match="error 15 .the end of the move lies beyond its own travel"):
+        with pytest.raises(RefusedError, match=r"error 15 .the end of the move lies beyond its own travel"):
             stage.move("Z", -80.0, FAST_MM_PER_S, nothing)
         stage.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
 def test_no_homing_switches(stage, bench):
     bench.controller.has_homing = False
-    with pytest.raises(RefusedError, match="error 5 .homing is switched off"):
+    with pytest.raises(RefusedError, match=r"error 5 .homing is switched off"):
         stage.home(10.0, nothing)
     assert stage.places_mm() is None
 
