@@ -109,7 +109,10 @@ def test_changed_frame_of_a_session_is_refused(
             with pytest.raises(BadFrameError, match=message):
                 camera.expose(first.exposure_s, DEADLINE_S)
     (tmp_path / "session.json").write_text("{}")
-    with pytest.raises(RefusedError, match="holds no record of a known kind"), open_camera(settings(tmp_path), Path()):
+    with (
+        pytest.raises(RefusedError, match="contains no record of a known kind"),
+        open_camera(settings(tmp_path), Path()),
+    ):
         pass
 
 
