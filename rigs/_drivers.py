@@ -148,10 +148,10 @@ def find_driver(kind: Kind, name: str) -> Driver:
     if name not in table:
         known = ", ".join(sorted(found[0].label for found in table.values()))
         near = difflib.get_close_matches(name, table, 1, cutoff=0.6)
-        hint = f"did you mean '{near[0]}'? There" if near else "there"
+        hint = f"did you mean '{near[0]}'? Valid" if near else "valid"
         raise RefusedError(
-            f"{kind}: no driver '{name}' is installed; {hint} are {known}: change the key driver in the rig file, or "
-            f"install the package that provides it ({HOW_TO})"
+            f"{kind}: no driver '{name}' is installed; {hint} drivers are {known}. Change the key driver in the rig "
+            f"file, or install the package that provides the driver ({HOW_TO})"
         )
     if len(table[name]) > 1:
         packages = [f"{driver.package} {driver.version}".rstrip() for driver in table[name]]
@@ -351,7 +351,7 @@ def detect(limit_s: float = LOOK_WITHIN_S) -> Detection:
     if len(boards) > 1:
         notes.append(
             f"{len(boards)} lights run the same firmware ({', '.join(boards)}); to learn which one is the laser, "
-            "unplug its board and search again"
+            "unplug the laser's board and search again"
         )
     return Detection(tuple(devices), tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(not_searched)))
 

@@ -414,7 +414,7 @@ class TerminalOperator:
         sys.stderr.flush()
         if not sys.stdin.readline():
             raise CaptureError(
-                f"operator: '{instruction}' needs a person, and standard input is closed; run the capture in a terminal"
+                f"operator: '{instruction}' needs a person, but standard input is closed; run the capture in a terminal"
             )
 
     def allows(self, question: str) -> bool:

@@ -300,7 +300,7 @@ class RigTarget(StandardReadable):
             Nobody can answer.
         """
         if value not in get_args(Target):
-            raise RefusedError(f"target: '{value}' is not known; allowed are {', '.join(get_args(Target))}")
+            raise RefusedError(f"target: '{value}' is not valid; valid targets are {', '.join(get_args(Target))}")
         self._set_in_view("unknown")
         await self.call(lambda: self._operator.place(value))
         self._set_in_view(value)
@@ -362,7 +362,8 @@ class RigCamera(StandardReadable):
         after = await self._surrounded()
         if before != after:
             raise BadFrameError(
-                f"camera: {before} before the exposure and {after} after it; the frame is not used: take it again"
+                f"camera: the state was {before} before the exposure, but {after} after it, so the frame is not used; "
+                "take the frame again"
             )
         self._set_frame(raw.counts)
         self._set_mean(float(raw.counts.mean()))
@@ -407,7 +408,7 @@ def ophyd_rig(rig: RigFile, folder: Path, operator: Operator | None = None) -> I
         call_in_bluesky_event_loop(asyncio.sleep(0.0))
     except RuntimeError:
         raise RefusedError(
-            "bluesky: there is no RunEngine yet; create it before the devices: RE = RunEngine()"
+            "bluesky: there is no RunEngine yet; create it before the devices (RE = RunEngine())"
         ) from None
     with rig_locked(rig), open_rig(rig, folder, operator) as opened, ExitStack() as ended:
         filters = {band.slot: band.name for band in rig.filter_wheel.filters}

@@ -162,7 +162,8 @@ NOT_SEEN_TO_TURN: Final = (
     "only the wheel reports that it turned, because the frames do not show every filter in its slot"
 )
 LIT_IN_THE_DARK: Final = (
-    "the white frames are hardly brighter than the dark frames: the lamp was always off, or also on in the dark frames"
+    "the white frames are hardly brighter than the dark frames, so the lamp was always off, or also on in the dark "
+    "frames"
 )
 SATURATED_SHARE: Final = 0.95
 """Of full scale, mean of the region: from there on more light adds nothing."""
@@ -309,10 +310,10 @@ def _read_noise(dark: DarkFrames, plan: CheckPlan, camera: CameraSettings) -> Ch
     low, high = (camera.read_noise_e * (1.0 + sign * plan.limits.read_noise_rel) for sign in (-1.0, 1.0))
     limit = f"{low:.4g} to {high:.4g} e"
     if dark.at_zero_fraction > MOST_AT_ZERO:
-        reason = f"{100 * dark.at_zero_fraction:.2g} % of the counts are 0, so noise is cut off: raise the black level"
+        reason = f"{100 * dark.at_zero_fraction:.2g} % of the counts are 0, so noise is cut off; raise the black level"
         return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit)
     if dark.noise_dn < LEAST_NOISE_DN:
-        reason = f"{dark.noise_dn:.2g} DN: rounding to whole counts hides it; raise the camera's gain"
+        reason = f"{dark.noise_dn:.2g} DN, which rounding to whole counts hides; raise the camera's gain"
         return unmeasured("dark frames", name, what, "UNDECIDED", reason, limit)
     noise_e = camera.gain_e_per_dn * math.sqrt(dark.noise_dn**2 - ROUNDING_DN2)
     differences = dark.pixels * (len(dark.means_dn) // 2)
@@ -415,8 +416,9 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     least_dn = max(LEAST_WHITE_SHARE * (2**camera.bit_depth - 1), 5.0 * float(dark_dn.std(ddof=1)))
     if levels.size < 2 * last or levels[-last:].mean() < least_dn:
         reason = (
-            f"the lamp was too dim: {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} readings, "
-            f"{least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or raise warm_up_s"
+            f"the lamp was too dim, only {levels[-last:].mean():.3g} DN above the dark frames in {levels.size} "
+            f"readings, but {least_dn:.3g} DN in {2 * last} readings are needed; check lamp, tile and lens cap, or "
+            "raise warm_up_s"
         )
         return unmeasured("warm-up", name, what, "UNDECIDED", reason, limit)
     away = levels / levels[-last:].mean() - 1.0
@@ -438,7 +440,7 @@ def _settling(warm: WarmUp, plan: CheckPlan, camera: CameraSettings, words: tupl
     result, least_s = measured("warm-up", name, what, value_s, sd_s, "s", evidence, limits=limits), LEAST_WATCH * most_s
     if span_s + step_s >= least_s:
         return result
-    return not_proven(result, f"too short to see a slow lamp settle: raise warm_up_s to {least_s:g} or more")
+    return not_proven(result, f"too short to see a slow lamp settle; raise warm_up_s to {least_s:g} or more")
 
 
 def _unsettled(drift: float, noise: float, looks: int, allowed: float) -> tuple[str, bool] | None:
@@ -482,7 +484,7 @@ def judge_stray_light(facts: CheckFacts, plan: CheckPlan, camera: CameraSettings
     if not stray.blocked:
         reason = "nothing was recorded behind a filter that blocks the laser"
     elif max((dark.at_zero_fraction for dark in facts.darks), default=0.0) > MOST_AT_ZERO:
-        reason = "dark frames have counts of 0, which hide faint light: raise the black level"
+        reason = "dark frames have counts of 0, which hide faint light; raise the black level"
     elif passed <= 3.0 * passed_sd:
         reason = f"the laser is not seen behind filter {stray.passed.filter_name} either; check tile, box and laser"
     elif max(dn for one in stray.blocked for dn in one.level.dark_dn) > SATURATED_SHARE * (2**camera.bit_depth - 1):
@@ -559,8 +561,8 @@ def _unseen(found: TriggerLatency) -> str:
     noisy = sum(one.lit_share_sd > MOST_SHARE_SD for one in found.tries)
     return (
         f"of {len(found.tries)} exposures of {found.exposure_s:.3g} s, {lit} began after the {found.light} was on, "
-        f"{dark} ended before and {noisy} are too noisy: dim the {found.light} or close the aperture, so that "
-        "exposures last longer than switching, and raise latency_tries"
+        f"{dark} ended before the {found.light} was on, and {noisy} are too noisy; dim the {found.light} or close the "
+        "aperture, so that exposures last longer than switching, and raise latency_tries"
     )
 
 

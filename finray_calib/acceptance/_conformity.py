@@ -74,8 +74,8 @@ class ToleranceInterval:
         finite = [limit for limit in (self.low, self.high) if limit is not None]
         if not finite or not np.isfinite(finite).all():
             raise FinrayError(
-                f"tolerance interval [{self.low}, {self.high}]: give a finite lower limit, a finite upper limit, or "
-                "both; None stands for no limit"
+                f"tolerance interval [{self.low}, {self.high}]: at least one limit is needed, and every limit must be "
+                "finite; give None for a side without a limit"
             )
         if len(finite) == 2 and finite[0] > finite[1]:
             raise FinrayError(
@@ -120,7 +120,7 @@ def conformance_probability(estimate: float, sd: float, tolerance: ToleranceInte
     """
     check_sd(sd)
     if np.isinf(sd):
-        raise FinrayError("standard uncertainty inf: nothing is known, so there is no probability; measure again")
+        raise FinrayError("standard uncertainty: is infinite, so no probability can be computed; measure again")
     low, high = tolerance.edges
     if sd == 0.0:
         return float(low <= estimate <= high)
@@ -368,8 +368,8 @@ def global_risks(
     check_sd(sd)
     if sd == 0.0 or not np.isfinite(support).all() or support[0] >= support[1]:
         raise FinrayError(
-            f"support {support} and uncertainty {sd}: the support must be a finite interval, lowest value first, and "
-            "the uncertainty of a measurement above 0; for an exact measurement both risks are 0"
+            f"support {support} and uncertainty {sd}: the support must be a finite interval with its lower limit "
+            "first, and the uncertainty must be above 0; for an exact measurement, both risks are 0"
         )
     value, weight = _quadrature(support, tolerance, guard, sd)
     weight = weight * np.asarray(prior(value))
@@ -381,8 +381,8 @@ def global_risks(
     # a support that cuts more off than this changes risks that one would state
     if abs(whole - 1) > 1e-4:
         raise FinrayError(
-            f"the distribution of the items integrates to {whole:.6g} over {support}: it must be a density, per unit "
-            "of the quantity; widen the support or normalise it"
+            f"the distribution of the items integrates to {whole:.6g} over {support}, but must integrate to 1; widen "
+            "the support, or normalise the distribution to a density per unit of the quantity"
         )
     return GlobalRisks(
         consumer_share=float((weight * accepted)[~conforms].sum()),
@@ -480,7 +480,7 @@ def certified_results(
     if not paint.diagnostics.trusted:
         raise FinrayError(
             f"'{paint.paint_name}': the draws of this fit cannot be trusted, so no uncertainty can be certified; look "
-            "at its page ('finray fit --report') and measure or fit again"
+            "at the report of the fit ('finray fit --report'), then measure or fit again"
         )
     references = valid_references(details, measured_on)
     found = tuple(_result(paint, details, name, references) for name in CERTIFIED)

@@ -105,9 +105,9 @@ def _check(
 ) -> None:
     """Refuse what cannot be compared."""
     if not first or not second:
-        raise FinrayError("two tins are compared by the calibration of at least one coat each; give both")
+        raise FinrayError("each tin needs the calibration of at least one coat; give calibrations of both tins")
     if not margins:
-        raise FinrayError("no margin: state how far the tins may differ and still be equivalent")
+        raise FinrayError("no margin is given; state how far the tins may differ and still be equivalent")
     for name, margin in margins.items():
         if not (margin > 0.0 and np.isfinite(margin)):
             raise FinrayError(f"margin of {name}: {margin:g} must be a number above 0, in the unit of the quantity")
@@ -117,13 +117,13 @@ def _check(
             raise FinrayError(f"'{other.paint_name}': the draws of this fit cannot be trusted; measure or fit it again")
         if _in_text(other.optics) != _in_text(one.optics):
             raise FinrayError(
-                f"'{other.paint_name}' and '{one.paint_name}' were measured on rigs that their records describe "
-                "differently; errors of a rig cancel only where both tins were measured on the same rig"
+                f"'{other.paint_name}' and '{one.paint_name}': the records describe different rigs, but errors of a "
+                "rig cancel only if both tins are measured on the same rig"
             )
         if not np.array_equal(other.wavelength_nm, one.wavelength_nm):
             raise FinrayError(
-                f"'{other.paint_name}': is tabulated at other wavelengths; fit all coats with the same version of "
-                "finray"
+                f"'{other.paint_name}': is not tabulated at the wavelengths of the other coats; fit all coats with "
+                "the same version of finray"
             )
 
 

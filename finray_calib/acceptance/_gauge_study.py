@@ -127,11 +127,13 @@ class GaugeStudy:
             f"the variance of {s.source} was estimated below 0 and is set to 0" for s in self.strata if s.was_negative
         ]
         if self.is_pooled:
-            told.append(f"the interaction was pooled with the repeats: its p is above {POOLED_ABOVE:g} (AIAG)")
+            told.append(
+                f"the interaction was pooled with the repeats, because its p value is above {POOLED_ABOVE:g} (AIAG)"
+            )
         if self.sessions < FEWEST_SESSIONS:
             told.append(
-                f"{self.sessions} sessions show little of how sessions differ, so the interval is wide: "
-                f"measure in {FEWEST_SESSIONS} or more"
+                f"only {self.sessions} sessions were measured, so differences between sessions are poorly known and "
+                f"the interval is wide; measure in {FEWEST_SESSIONS} or more sessions"
             )
         return tuple(told)
 
@@ -194,14 +196,14 @@ def balanced_values(measurements: Sequence[tuple[str, str, str, float]]) -> Floa
         for session in sessions
     }
     if not sizes:
-        raise FinrayError("gauge study: the file lists no capture; give one row for each")
+        raise FinrayError("gauge study: the file lists no capture; add one row for each capture")
     usual = next(iter(sizes.values()))
     for (sample, session), size in sizes.items():
         if size != usual or len(set(usual)) > 1:
             raise FinrayError(
-                f"gauge study: sample {sample} in session {session} has {len(size)} mounts with {size} captures; every "
-                "sample needs the same number of mounts and of captures of each mount in every session: complete it, "
-                "or leave the sample or the session out"
+                f"gauge study: sample {sample} in session {session} has {len(size)} mounts with {size} captures, but "
+                "every sample needs the same number of mounts, and of captures of each mount, in every session; "
+                "complete the sample, or leave the sample or the session out"
             )
     return np.array([[list(cells[sample, session].values()) for session in sessions] for sample in samples])
 
@@ -211,13 +213,18 @@ def _check(values: Floats) -> None:
     p, s, m, r = values.shape
     if p < 2 or s < 2 or m * r < 2:
         raise FinrayError(
-            f"gauge study: {p} samples, {s} sessions, {m} mounts and {r} repeats; it needs two samples and two "
-            "sessions at least, and two mounts or two repeats"
+            f"gauge study: has {p} samples, {s} sessions, {m} mounts and {r} repeats, but needs at least two samples, "
+            "two sessions, and two mounts or two repeats"
         )
     if not np.isfinite(values).all():
-        raise FinrayError("gauge study: a value is not a finite number; give every capture its value")
+        raise FinrayError(
+            "gauge study: at least one value is not a finite number; give a finite value for every capture"
+        )
     if not (values.var(axis=(2, 3)) > 0).any():
-        raise FinrayError("gauge study: mounts and repeats do not differ at all; give values with all their digits")
+        raise FinrayError(
+            "gauge study: values do not differ at all between mounts and repeats, so their scatter "
+            "cannot be estimated; give values with all their digits"
+        )
 
 
 def mls_interval(combination: Floats, squares: Floats, freedom: Floats) -> tuple[float, float]:

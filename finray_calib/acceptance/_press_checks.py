@@ -58,8 +58,8 @@ FELT_SHARE: Final = 0.25
 """Of the force of a press: a zero that moved by more could have been the force."""
 NO_SCALE: Final = "that is the controller's own count; it is not confirmed that {axis} travels as far as commanded"
 NO_BLOCK: Final = (
-    "only the controller reports its travel: no block of known thickness was laid on the pad; name one in the plan "
-    "([gauge_block])"
+    "only the controller reports its travel, because no block of known thickness was laid on the pad; name a block "
+    "in the plan ([gauge_block])"
 )
 NO_PICTURE_SCALE: Final = "the pixel size in mm is not known; give mm_per_px and mm_per_px_u_rel in the plan"
 NO_DENT: Final = (
@@ -73,8 +73,8 @@ ONLY_COUNTED: Final = (
     "harder, or watch it with a dial gauge"
 )
 NO_MASS: Final = (
-    "no known mass was laid on the cell in this check, so that a wrong factor would not show, and the true force can "
-    "exceed the plan's limit; name one in the plan ([known_mass])"
+    "no known mass was laid on the cell in this check, so a wrong factor would not show, and the true force can "
+    "exceed the plan's limit; name a mass in the plan ([known_mass])"
 )
 UNCERTIFIED: Final = "no certificate of the mass recorded"
 LAID_SHARE: Final = 0.05
@@ -162,8 +162,9 @@ def unfelt(facts: PressFacts) -> str | None:
         gone = abs(one.zero_shift_n) < FELT_SHARE * one.from_above_n
         if not (grew and gone and one.from_above_n > FELT_SD * one.noise_n):
             return (
-                f"a touch gave {one.from_above_n:.3g} N, {one.deeper_n:.3g} N deeper and {one.zero_shift_n:.3g} N "
-                "after the stage had left, which no pad would give: stage and cell do not confirm each other"
+                f"a touch gave {one.from_above_n:.3g} N, then {one.deeper_n:.3g} N deeper in the pad and "
+                f"{one.zero_shift_n:.3g} N after the stage had left; no pad responds like this, so stage and cell do "
+                "not confirm each other"
             )
     return None
 
@@ -240,7 +241,7 @@ def _factor(
     )
     evidence += f"by the calibration, {weight_n:.4g} N by its mass; {known.certificate or UNCERTIFIED}"
     if abs(force_n) < LAID_SHARE * weight_n:
-        why = f"{evidence}; hardly any force was felt: place the mass on the cell, and check again"
+        why = f"{evidence}, but hardly any force was felt; place the mass on the cell, and check again"
         return unmeasured("load cell", name, what, "UNDECIDED", why, limit_text(-most, most, "%"))
     found = measured(
         "load cell", name, what, 100 * (force_n / weight_n - 1.0), 100 * sd_n / weight_n, "%", evidence, limits=limits
@@ -544,8 +545,8 @@ def _in_words(moving: list[MovingStop]) -> str:
     if longest.stood_mm is None or longest.end_mm is None:
         return f"{said}, and the stage's position was unknown afterwards"
     return (
-        f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before its end, and the cell felt up "
-        f"to {longest.peak_n:.3g} N where a press in steps had given {longest.unstopped_n:.3g} N"
+        f"{said}, the stage stood {abs(longest.end_mm - longest.stood_mm):.2g} mm before the end of the move, and the "
+        f"cell felt up to {longest.peak_n:.3g} N; a press in steps had given {longest.unstopped_n:.3g} N"
     )
 
 

@@ -105,11 +105,13 @@ def chart_rules(
         The rate or the weight is out of range, or the reference has too few sessions.
     """
     if not 1e-6 <= false_alarm_share <= 0.2:
-        raise FinrayError(f"false alarms: {false_alarm_share:g} is out of range; give 0.000001 to 0.2 of the sessions")
+        raise FinrayError(
+            f"false alarms: a share of {false_alarm_share:g} of the sessions is out of range; give 0.000001 to 0.2"
+        )
     if not 0.01 <= smoothing_factor <= 1.0:
         raise FinrayError(f"weight of the newest session: {smoothing_factor:g} is out of range; give 0.01 to 1")
     if reference is not None and reference < FEWEST_REFERENCE:
-        raise FinrayError(f"reference of {reference} sessions: give {FEWEST_REFERENCE} or more")
+        raise FinrayError(f"reference: {reference} sessions are too few; give {FEWEST_REFERENCE} or more")
     if reference is None:
         shewhart_factor = float(norm.isf(false_alarm_share / 4))
     else:
@@ -223,7 +225,8 @@ def watch(values: Sequence[float], rules: ChartRules, cleared: int = 0) -> Chart
     series, count = np.asarray(values, dtype=np.float64), rules.reference or 0
     if count < 2 or series.size < count or not np.isfinite(series).all():
         raise FinrayError(
-            f"series of {series.size} values: give at least the {count} of the reference, all finite numbers"
+            f"series of {series.size} values: must have at least {count} values, as the reference has, and only "
+            "finite numbers"
         )
     mean, sd = float(series[:count].mean()), float(series[:count].std(ddof=1))
     if not sd > 0.0:
@@ -501,7 +504,7 @@ def session_history(
     """
     ordered = sorted(facts, key=lambda one: one.captured_utc)
     if reference < FEWEST_REFERENCE:
-        raise FinrayError(f"reference of {reference} sessions: give {FEWEST_REFERENCE} or more")
+        raise FinrayError(f"reference: {reference} sessions are too few; give {FEWEST_REFERENCE} or more")
     if not 0.0 < false_alarm_share <= MOST_FALSE_ALARMS:
         raise FinrayError(
             f"false alarms: {false_alarm_share:g} is out of range; give a share above 0 and up to {MOST_FALSE_ALARMS:g}"

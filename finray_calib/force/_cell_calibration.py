@@ -106,7 +106,7 @@ def calibrate_cell(
     readings = counts.shape[1]
     means, sds = counts.mean(axis=1), counts.std(axis=1, ddof=1)
     if not sds.all():
-        raise CurveError("load cell: all readings have the same count, so it is stuck: check amplifier and wiring")
+        raise CurveError("load cell: all readings of a load are equal, so it is stuck; check amplifier and wiring")
     noise_counts = float(np.sqrt(np.mean(sds**2)))
     # one scatter for all loads: that of a single one is known too badly to weigh with
     uncertainties = np.full(len(means), noise_counts / np.sqrt(readings))
@@ -114,7 +114,7 @@ def calibrate_cell(
     line = weighted_line(force_n, means, uncertainties)
     if abs(line.slope) < LEAST_SLOPE_SD * line.slope_uncertainty:
         raise CurveError(
-            f"load cell: its counts do not follow the masses ({line.slope:.4g} +- {line.slope_uncertainty:.2g} counts "
+            f"load cell: the counts do not follow the masses ({line.slope:.4g} +- {line.slope_uncertainty:.2g} counts "
             "per newton); check that each mass lay on the cell when the command asked for it"
         )
     slope = 1.0 / line.slope
@@ -149,8 +149,8 @@ def _require_loads(masses_kg: Floats) -> None:
     """Refuse too few loads for a line and its scatter."""
     if len(masses_kg) < LEAST_LOADS or len(set(masses_kg.tolist())) < 3:
         raise CurveError(
-            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses; give at least two "
-            "masses besides the empty cell"
+            f"load cell: {len(masses_kg)} loads of {len(set(masses_kg.tolist()))} masses are too few; give at least "
+            "two masses besides the empty cell"
         )
 
 

@@ -143,7 +143,7 @@ def _curve_on_other_mesh(press: PressMechanics, other: PressMechanics) -> ForceC
             f"{other.name}: is a press of another design; give a press of the same design on another mesh"
         )
     if other.preset == press.preset:
-        raise CompareError(f"{other.name}: is on the {other.preset} mesh too; give a press on another one")
+        raise CompareError(f"{other.name}: is also on the {other.preset} mesh; give a press on another mesh")
     return ForceCurve(other.name, other.depth_mm, other.force_n[:, 1])
 
 
@@ -219,8 +219,8 @@ def compare_force(
     """
     if press.motion is not None:
         raise CompareError(
-            f"{press.name}: its indenter moved along a path; a loading curve is compared with a press along the pad's "
-            "normal: press again without a path of the indenter"
+            f"{press.name}: the indenter moved along a path, but a loading curve can be compared only with a press "
+            "along the pad's normal; press again without a path of the indenter"
         )
     curve = ForceCurve(press.name, press.depth_mm, press.force_n[:, 1])
     measured.check_units(float(curve.depth_mm[-1]), float(curve.force_n.max()))
@@ -503,8 +503,8 @@ def error_size(error: Floats, systematic: Floats, noise: Floats) -> Interval:
 
 
 UNKNOWN_UNCERTAINTY = (
-    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so that "
-    "u_val holds the numerical error at most. Simulate with 'press --sensitivities', and give the columns "
+    "intervals and verdicts: the design's inputs have no sensitivities and the CSV states no uncertainty, so u_val "
+    "contains at most the numerical error. Simulate with 'press --sensitivities', and give the columns "
     "force_uncertainty_n and displacement_uncertainty_mm"
 )
 

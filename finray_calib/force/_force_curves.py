@@ -54,7 +54,7 @@ class ForceCurve:
             )
         if (self.force_n <= 0.0).any() or (self.depth_mm <= 0.0).any() or (np.diff(self.depth_mm) <= 0.0).any():
             raise CompareError(
-                f"{self.name}: all pushes must be above 0 mm and increase, and all forces must be above 0 N"
+                f"{self.name}: all depths must be above 0 mm and increase, and all forces must be above 0 N"
             )
 
     @property
@@ -169,14 +169,14 @@ class MeasuredForce:
     def __post_init__(self) -> None:
         count = len(self.displacement_mm)
         if count < FEWEST_POINTS:
-            raise CompareError(f"{self.name}: has {count} points; a comparison needs {FEWEST_POINTS} or more")
+            raise CompareError(f"{self.name}: has only {count} points, but a comparison needs {FEWEST_POINTS} or more")
         for what, values in (("force", self.u_force_n), ("displacement", self.u_displacement_mm)):
             if values is not None and (values < 0.0).any():
                 raise CompareError(f"{self.name}: an uncertainty of the {what} is negative; give 0 or more")
         if self.force_n.mean() <= 0.0:
             raise CompareError(
-                f"{self.name}: the force is {self.force_n.mean():.3g} N on average; pushing counts positive: change "
-                "its sign"
+                f"{self.name}: the mean force is {self.force_n.mean():.3g} N, but pushing must count as positive; "
+                "change the sign of the force"
             )
 
     def variance_n2(self, slope_n_per_mm: Floats) -> Floats:
@@ -200,6 +200,6 @@ class MeasuredForce:
         ):
             if not 1.0 / _UNITS_APART < own / other < _UNITS_APART:
                 raise CompareError(
-                    f"{self.name}: the largest {what} is {own:.3g} {unit}, that of the simulated press {other:.3g} "
-                    f"{unit}; it may be in another unit: give {unit}"
+                    f"{self.name}: the largest {what} is {own:.3g} {unit}, but {other:.3g} {unit} in the simulated "
+                    f"press, so the unit may be wrong; give the {what} in {unit}"
                 )

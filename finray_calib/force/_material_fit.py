@@ -184,9 +184,9 @@ def _slope(press: PressSensitivities, field: str) -> Floats:
         if slope.field == field:
             return slope.ln_force_per_ln_number
     raise CompareError(
-        f"the derivative of the force by {field} is not available for this press: the finger is about to snap, or it "
-        "was pressed with barrier contact (for example because ribs touch); give force curves that end at a smaller "
-        "displacement"
+        f"the derivative of the force by {field} is not available for this press, because the finger is about to "
+        "snap, or was pressed with barrier contact (for example because ribs touch); give force curves that end at a "
+        "smaller displacement"
     )
 
 
@@ -320,13 +320,16 @@ def fit_material(
         explains the curves.
     """
     if len(curves) != len(models) or not curves:
-        raise CompareError(f"{len(curves)} curves and {len(models)} specimens: give one specimen for each curve")
+        raise CompareError(
+            f"got {len(curves)} curves and {len(models)} specimens; give at least one curve, and one "
+            "specimen for each curve"
+        )
     for curve in curves:
         begin, size = float(curve.displacement_mm.min()), float(np.ptp(curve.displacement_mm))
         if abs(begin) > _TOUCH_RANGE_REL * size:
             raise CompareError(
-                f"{curve.name}: its displacements begin at {begin:g} mm and cover {size:g} mm; count them from near "
-                "first touch (0 mm), which the fit then finds"
+                f"{curve.name}: the displacements begin at {begin:g} mm and cover {size:g} mm, but must begin near "
+                "first touch; count displacements from near first touch (0 mm), which the fit then finds"
             )
     problem = _problem(curves, models)
     maxima = _maxima(problem)
@@ -369,9 +372,9 @@ def _maxima(problem: _Problem) -> Maxima:
         off = float(np.sqrt(((problem.with_drift_n(k, best)[0] - curve.force_n) ** 2).mean()) / curve.force_n.max())
         if not (kept.any() and off < _UNEXPLAINED_REL):
             raise CompareError(
-                f"{curve.name}: no modulus explains this curve; the nearest fit differs by {100 * off:.0f} % of its "
-                f"largest force (rms, {100 * _UNEXPLAINED_REL:.0f} % allowed). Check that displacements are in mm and "
-                "forces in N, and that this specimen was pressed"
+                f"{curve.name}: no modulus explains this curve; the nearest fit differs by {100 * off:.0f} % of the "
+                f"largest force (rms; at most {100 * _UNEXPLAINED_REL:.0f} % is allowed). Check that displacements "
+                "are in mm and forces in N, and that this specimen was pressed"
             )
     # the components share what K/mu leaves open between them
     apart = float(bulks[1] - bulks[0])
@@ -502,8 +505,8 @@ def _notes(problem: _Problem, moduli: Sequence[FittedModulus], trusted: bool) ->
     bulk = moduli[1]
     if bulk.verdict != "measured":
         notes.append(
-            f"K/mu is {bulk.verdict}: from {bulk.posterior.low95:.3g} to {bulk.posterior.high95:.3g} the "
-            "force hardly changes; a confined block of the same gel would measure it"
+            f"K/mu is {bulk.verdict}, because the force hardly changes from {bulk.posterior.low95:.3g} to "
+            f"{bulk.posterior.high95:.3g}; a confined block of the same gel would measure K/mu"
         )
     for curve, model in zip(problem.curves, problem.models, strict=True):
         notes.append(

@@ -246,10 +246,9 @@ def _beyond_the_tile(steps: SessionSteps) -> tuple[str, ...]:
     if dimmest_rel >= SMALLEST_BLOCK_REL:
         return ()
     return (
-        f"the darkest of {len(blocks)} blocks of the region has {100 * dimmest_rel:.0f} % of the light of the "
-        f"brightest one "
-        f"on the white tile: the region extends beyond the tile or the light, and all values are biased; correct "
-        f"plan.region",
+        f"the darkest of {len(blocks)} blocks of the region has only {100 * dimmest_rel:.0f} % of the light of the "
+        "brightest block on the white tile, so the region extends beyond the tile or the light, and all values are "
+        "biased; correct plan.region",
     )
 
 

@@ -131,14 +131,14 @@ def _require_levels(lit: dict[float, _Stack], dark: dict[float, _Stack]) -> None
     """Refuse too few exposures, and flat frames without dark ones of the same exposure."""
     if len(lit) < FEWEST_LEVELS:
         raise RadiometryError(
-            f"session.frames: flat frames at {len(lit)} exposures, but at least {FEWEST_LEVELS} are needed: "
-            "raise plan.levels and capture again"
+            f"session.frames: has flat frames at only {len(lit)} exposures, but at least {FEWEST_LEVELS} exposures "
+            "are needed; raise plan.levels and capture again"
         )
     lost = [asked_s for asked_s in lit if asked_s not in dark]
     if lost:
         raise RadiometryError(
-            f"session.frames: no dark frames of {', '.join(f'{t:g} s' for t in lost[:3])} ({len(lost)} of {len(lit)} "
-            "exposures lack them); capture them at every exposure of the flat frames"
+            f"session.frames: dark frames are missing at {', '.join(f'{t:g} s' for t in lost[:3])} ({len(lost)} of "
+            f"{len(lit)} exposures lack them); capture dark frames at every exposure of the flat frames"
         )
 
 
@@ -167,11 +167,11 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
         if c.chi_square_p < SMALLEST_CHI_SQUARE_P:
             warnings.append(
                 f"{c.channel}: variance against mean is not a straight line (chi-square {c.chi_square:.0f} for "
-                f"{c.degrees_of_freedom} degrees of freedom); intervals of gain and read noise are widened: look for "
-                "gamma, noise reduction or a drifting lamp"
+                f"{c.degrees_of_freedom} degrees of freedom), so intervals of gain and read noise are widened; look "
+                "for gamma, noise reduction or a drifting lamp"
             )
         if c.saturation_dn is None:
-            warnings.append(f"{c.channel}: no exposure saturates, so that saturation and dynamic range are not known")
+            warnings.append(f"{c.channel}: no exposure saturates, so saturation and dynamic range are not known")
         if np.median(c.curve.dark_variance_dn2) < SMALLEST_DARK_VARIANCE_DN2:
             warnings.append(
                 f"{c.channel}: the dark variance is below {SMALLEST_DARK_VARIANCE_DN2:g} DN^2, where rounding hides "
@@ -179,9 +179,8 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
             )
     if empty_fraction > LARGEST_EMPTY_FRACTION:
         warnings.append(
-            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most "
-            f"{100 * LARGEST_EMPTY_FRACTION:.1f} % is allowed): the read noise is underestimated; raise the "
-            "camera's black level"
+            f"{100 * empty_fraction:.1f} % of the dark counts are 0 (at most {100 * LARGEST_EMPTY_FRACTION:.1f} % is "
+            "allowed), so the read noise is underestimated; raise the camera's black level"
         )
     gain = np.array([c.gain_e_per_dn.estimate for c in channels])
     weight = np.array([1.0 / c.gain_e_per_dn.sd**2 for c in channels])
@@ -190,7 +189,7 @@ def _warnings(channels: list[ChannelCharacterisation], empty_fraction: float) ->
         warnings.append(
             "the channels differ in gain ("
             + ", ".join(f"{c.channel} {c.gain_e_per_dn.estimate:.3f} e/DN" for c in channels)
-            + "): check that no white balance is applied to the raw frames"
+            + "); check that no white balance is applied to the raw frames"
         )
     return tuple(warnings)
 
@@ -327,10 +326,11 @@ def _used(name: ChannelName, levels: ChannelLevels, peak: int | None) -> tuple[B
         if used.sum() < FEWEST_IN_FIT:
             end = LINE_END if used is in_line else high
             raise RadiometryError(
-                f"{name} channel: {used.sum()} of {len(used)} exposures give unsaturated counts at "
-                f"{100 * start:.0f} % to {100 * end:.0f} % of saturation, but at least {FEWEST_IN_FIT} are "
-                f"needed; {int((~clear).sum())} are saturated: choose exposures between dark and saturation, "
-                "a region that the light fills evenly, or another filter or lamp for this channel"
+                f"{name} channel: only {used.sum()} of {len(used)} exposures give unsaturated counts at "
+                f"{100 * start:.0f} % to {100 * end:.0f} % of saturation, but at least {FEWEST_IN_FIT} are needed "
+                f"({int((~clear).sum())} "
+                "are saturated); choose exposures between dark and saturation, a region that the light fills evenly, "
+                "or another filter or lamp for this channel"
             )
     return in_line, in_linearity
 

@@ -166,14 +166,15 @@ class FrameStack:
         """
         if frame.dtype.kind == "f" and not np.isfinite(frame).all():
             raise RadiometryError(
-                f"{self._what}: frame {self._count + 1} holds NaN or infinite counts; give raw frames of whole counts"
+                f"{self._what}: frame {self._count + 1} contains NaN or infinite counts; give raw frames of whole "
+                "counts"
             )
         if self._count == 0:
             self._start(frame)
         if frame.shape != self._mean.shape:
             raise RadiometryError(
-                f"{self._what}: frame {self._count + 1} has {_size(frame)}, those before have {_size(self._mean)}; "
-                "frames of a session must be equal in size: capture it again"
+                f"{self._what}: frame {self._count + 1} has {_size(frame)}, but the frames before it have "
+                f"{_size(self._mean)}; capture all frames of the session with the same size"
             )
         self._count += 1
         for first in range(0, len(frame), BAND_ROWS):
@@ -203,8 +204,8 @@ class FrameStack:
         """
         if self._count < FEWEST_FRAMES:
             raise RadiometryError(
-                f"{self._what}: {self._count} frame, but at least {FEWEST_FRAMES} of the same exposure are "
-                "needed to separate noise from pattern: raise plan.frames_per_level"
+                f"{self._what}: has {self._count} frame, but at least {FEWEST_FRAMES} frames of the same exposure are "
+                "needed to separate noise from pattern; raise plan.frames_per_level"
             )
         return tuple(self._channel(sites) for sites in self._channels)
 
@@ -213,8 +214,8 @@ class FrameStack:
         smallest = min(_at(frame, site).shape[axis] for site in self._frame_means for axis in (0, 1))
         if smallest < SMALLEST_SITE_PX:
             raise RadiometryError(
-                f"{self._what}: the region has {_size(frame)}; {SMALLEST_SITE_PX} rows and columns of every channel "
-                "are needed: correct plan.region"
+                f"{self._what}: the region has {_size(frame)}, but {SMALLEST_SITE_PX} rows and columns of every "
+                "channel are needed; correct plan.region"
             )
         self._mean, self._squares = np.zeros(frame.shape), np.zeros(frame.shape)
 
@@ -369,8 +370,8 @@ def require_noise(stacks: Sequence[StackStatistics], what: str) -> None:
     equal = sum(s.variance_dn2 <= 0.0 for s in stacks)
     if equal:
         raise RadiometryError(
-            f"{what}: the frames of {equal} of {len(stacks)} exposures are equal (variance 0 DN^2), so that they "
-            "show no noise: switch off noise reduction and averaging in the camera, and store each frame once"
+            f"{what}: the frames of {equal} of {len(stacks)} exposures are identical (variance 0 DN^2), so they show "
+            "no noise; switch off noise reduction and averaging in the camera, and store each frame only once"
         )
 
 

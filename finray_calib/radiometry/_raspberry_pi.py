@@ -71,7 +71,7 @@ def numbers(values: Any, name: str, shape: tuple[int, ...]) -> Floats:
             f"tuning: {name} is not an array of numbers of shape {shape}; check that the file is complete"
         ) from None
     if not np.isfinite(array).all():
-        raise ImportFormatError(f"tuning: {name} holds NaN or infinite numbers; check that the file is complete")
+        raise ImportFormatError(f"tuning: {name} contains NaN or infinite numbers; check that the file is complete")
     return array
 
 
@@ -116,8 +116,8 @@ def parse_shading(parameters: Mapping[str, Any]) -> LensShading | None:
     flat = numbers(parameters["luminance_lut"], "rpi.alsc luminance_lut", (-1,))
     if flat.size not in TABLE_SHAPES:
         raise ImportFormatError(
-            f"tuning: rpi.alsc luminance_lut has {flat.size} entries; tables of 16 x 12 (192) or 32 x 32 (1024) are "
-            "known"
+            f"tuning: rpi.alsc luminance_lut has {flat.size} entries, but only tables of 16 x 12 (192) or 32 x 32 "
+            "(1024) are supported"
         )
     shape = TABLE_SHAPES[flat.size]
     luminance = flat.reshape(shape)
@@ -126,7 +126,7 @@ def parse_shading(parameters: Mapping[str, Any]) -> LensShading | None:
     blue_k, blue = by_temperature(parameters.get("calibrations_Cb", []), "rpi.alsc calibrations_Cb", "table", shape)
     gains = 1.0 + strength * (luminance - 1.0)
     if min(table.min(initial=1.0) for table in (gains, red, blue)) <= 0:
-        raise ImportFormatError("tuning: rpi.alsc holds a gain that is zero or negative; gains must be positive")
+        raise ImportFormatError("tuning: rpi.alsc contains a gain that is zero or negative, but gains must be positive")
     adaptive = parameters.get("n_iter", 1) != 0
     bound = _number(parameters, "lambda_bound", 0.05) if adaptive else 0.0
     return LensShading(gains, red_k, red, blue_k, blue, bound)
@@ -267,12 +267,12 @@ def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     version = document.get("version", 1.0)
     if not isinstance(version, (int, float)) or version >= 3.0:
         raise ImportFormatError(
-            f"tuning: has version {version!r}; versions below 3 are understood: give the tuning file of an older "
-            "libcamera"
+            f"tuning: version {version!r} is not supported, only versions below 3 are; give the tuning file of an "
+            "older libcamera"
         )
     entries = document.get("algorithms") if version >= 2.0 else [document]
     if not isinstance(entries, list) or not all(isinstance(e, Mapping) for e in entries):
-        raise ImportFormatError(f"tuning: version {version:g} needs a list 'algorithms' of objects")
+        raise ImportFormatError(f"tuning: 'algorithms' must be a list of objects in version {version:g}")
     found = {
         name: parameters
         for entry in entries
@@ -281,7 +281,7 @@ def _algorithms(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     }
     if not found:
         raise ImportFormatError(
-            "tuning: holds no 'rpi.' algorithm, so it is not for a Raspberry Pi; give a file such as "
+            "tuning: contains no 'rpi.' algorithm, so it is not for a Raspberry Pi; give a file such as "
             "/usr/share/libcamera/ipa/rpi/vc4/imx219.json"
         )
     return found
@@ -293,7 +293,8 @@ def _black_level(parameters: Mapping[str, Any]) -> Floats:
     levels = numbers([parameters.get(f"black_level_{c}", common) for c in "rgb"], "rpi.black_level", (3,))
     if not ((levels >= 0) & (levels < LEVELS / 2)).all():
         raise ImportFormatError(
-            f"tuning: rpi.black_level is {levels.tolist()}; it must be 0 to {LEVELS / 2:.0f} on the 16-bit scale"
+            f"tuning: rpi.black_level is {levels.tolist()}, but must be at least 0 and below {LEVELS / 2:.0f} on the "
+            "16-bit scale"
         )
     return levels / LEVELS
 
@@ -303,8 +304,8 @@ def _tone_curve(flat: Any) -> Floats:
     points = numbers(flat, "rpi.contrast gamma_curve", (-1, 2)) / FULL_SCALE_DN
     if len(points) < 2 or (np.diff(points, axis=0) <= 0).any() or points.min() < 0 or points.max() > 1:
         raise ImportFormatError(
-            "tuning: rpi.contrast gamma_curve must be two or more pairs that rise strictly within 0 to 65535; a curve "
-            "that is flat cannot be inverted"
+            "tuning: rpi.contrast gamma_curve must have two or more pairs of numbers within 0 to 65535, and both "
+            "numbers must increase from pair to pair; a flat curve cannot be inverted"
         )
     return points
 
@@ -382,8 +383,8 @@ def capture_settings(metadata: Mapping[str, Any], image: str) -> CaptureSettings
     for control, (values, what) in AUTOMATICS.items():
         if metadata.get(control) in values:
             raise ImportFormatError(
-                f"{image}: {what} was on ({control} = {metadata[control]}), so its brightness or colour is not that of "
-                f"the other images; {LOCK}"
+                f"{image}: {what} was on ({control} = {metadata[control]}), so brightness or colour may differ from "
+                f"image to image; {LOCK}"
             )
     red, blue = _numbers(metadata, "ColourGains", 2, image)
     temperature = _optional(metadata, "ColourTemperature", 1, image)
@@ -428,8 +429,8 @@ def require_same_settings(settings: Mapping[str, CaptureSettings]) -> None:
             one, two = getattr(reference, field), getattr(other, field)
             if abs(two - one) > SAME_SETTING_REL * one:
                 raise ImportFormatError(
-                    f"{control} differs: {one:g} {unit} in {first}, {two:g} {unit} in {image}; images of one press "
-                    f"need the same settings: {LOCK}"
+                    f"{control} is {one:g} {unit} in {first}, but {two:g} {unit} in {image}; images of one press need "
+                    f"the same settings, so {LOCK}"
                 )
 
 
@@ -457,12 +458,13 @@ def _numbers(metadata: Mapping[str, Any], control: str, count: int, image: str) 
     signed = control in ("ColourCorrectionMatrix", "SensorBlackLevels")
     if values.shape != (count,) or not np.isfinite(values).all() or not (signed or (values > 0).all()):
         raise ImportFormatError(
-            f"{image}: {control} is {metadata[control]!r}; it must be {count} finite number(s)"
+            f"{image}: {control} is {metadata[control]!r}, but must be {count} finite number(s)"
             + ("" if signed else " above 0")
         )
     if control == "SensorBlackLevels" and not ((values >= 0.0) & (values < LEVELS)).all():
         raise ImportFormatError(
-            f"{image}: SensorBlackLevels is {metadata[control]!r}; black levels are 0 to {LEVELS - 1:g} of 16 bits"
+            f"{image}: SensorBlackLevels is {metadata[control]!r}, but black levels must be 0 to {LEVELS - 1:g} (16 "
+            "bits)"
         )
     return values
 
@@ -582,14 +584,14 @@ def processed_signal(
     if tuning.contrast is not None:
         variance += _stretch_sd(values, tuning) ** 2
         steps.append(
-            "the contrast was stretched from image to image (ce_enable), which was not undone, but its limits are in "
-            "the uncertainty"
+            "the contrast was stretched from image to image (ce_enable); this was not undone, but its limits are "
+            "included in the uncertainty"
         )
     bound = 0.0 if tuning.shading is None else tuning.shading.adaptive_bound_rel
     if bound:
         variance += (bound / np.sqrt(3.0) * np.array([1.0, 0.0, 1.0]) * values) ** 2
         steps.append(
-            f"the shading of red and blue adapts within {100 * bound:.0f} %, which was not undone, but is included in "
+            f"the shading of red and blue adapts within {100 * bound:.0f} %; this was not undone, but is included in "
             "the uncertainty"
         )
     lost = codes == LARGEST_CODE

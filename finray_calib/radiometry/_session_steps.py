@@ -84,7 +84,7 @@ def session_steps(session: CaptureSession, read: ReadFrame) -> SessionSteps:
     names = captured_filters(session)
     if session.plan.excitation_filter not in names:
         raise RadiometryError(
-            f"session.plan.excitation_filter: {session.plan.excitation_filter!r} is none of the captured filters "
+            f"session.plan.excitation_filter: {session.plan.excitation_filter!r} is not among the captured filters "
             f"({', '.join(names)})"
         )
     darks = dark_levels(session, read)
@@ -136,13 +136,14 @@ def _of_type(steps: dict[StepKey, StepSignal], kind: FrameType, names: tuple[str
         step = steps.get((kind, name))
         if step is None:
             raise RadiometryError(
-                f"session.frames: no '{kind}' frame through filter {name}; capture the session again with this filter"
+                f"session.frames: has no '{kind}' frame through filter {name}; capture the session again with this "
+                "filter"
             )
         if np.isnan(step.signal_dn_per_s).all():
             raise RadiometryError(
-                f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures "
-                f"('{kind}', {100 * step.saturated_fraction.min():.1f} % of the region at full scale, where "
-                f"at most {100 * LARGEST_SATURATED_FRACTION:.2f} % is allowed): capture again with a lower "
+                f"{step.exposures[0].frame.file}: filter {name} is saturated in all channels and exposures ('{kind}', "
+                f"{100 * step.saturated_fraction.min():.1f} % of the region at full scale, but at most "
+                f"{100 * LARGEST_SATURATED_FRACTION:.2f} % is allowed); capture again with a lower "
                 "plan.target_fraction or a shorter exposure in plan.bracket"
             )
         found.append(step)
@@ -220,7 +221,7 @@ def channel_weights(steps: SessionSteps) -> Floats:
     weight = np.where(good, 1 / np.where(good, variance, 1.0), 0.0)
     if weight.sum() == 0:
         raise RadiometryError(
-            "the white reference under the laser gives no signal through the excitation filter: check that the laser "
+            "the white reference under the laser gives no signal through the excitation filter; check that the laser "
             "is on the tile, and that plan.excitation_filter names the filter of the laser line"
         )
     return np.asarray(weight / weight.sum())
@@ -356,8 +357,8 @@ def refuse_other_repeat(trend: BleachingTrend, steps: SessionSteps) -> None:
     else:
         return
     raise RadiometryError(
-        f"filter {record.filter_name} and its own repeat disagree: {why}. The sample, the region or the laser may "
-        "have changed during the session: capture again, or give --accept-repeat to treat the difference as fading"
+        f"filter {record.filter_name} and its repeat disagree: {why}. The sample, the region or the laser may have "
+        "changed during the session; capture again, or give --accept-repeat to treat the difference as fading"
     )
 
 

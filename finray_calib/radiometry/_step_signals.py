@@ -113,8 +113,8 @@ def _checked_cells(frame: Counts, region: RegionOfInterest) -> Counts:
     rows, columns = frame.shape
     if height < SMALLEST_SIDE_PX or width < SMALLEST_SIDE_PX:
         raise RadiometryError(
-            f"plan.region: {region.height_px} x {region.width_px} px is empty or too small; it needs at least "
-            f"{SMALLEST_SIDE_PX} x {SMALLEST_SIDE_PX} px of paint: correct height_px and width_px"
+            f"plan.region: {region.height_px} x {region.width_px} px is empty or too small, but at least "
+            f"{SMALLEST_SIDE_PX} x {SMALLEST_SIDE_PX} px of paint are needed; correct height_px and width_px"
         )
     if top + height > rows or left + width > columns:
         raise RadiometryError(
@@ -167,7 +167,7 @@ def dark_levels(session: CaptureSession, read: ReadFrame) -> dict[float, DarkLev
             means.setdefault(frame.exposure_requested_s, []).append(reduced.mean_dn)
             pixels = reduced.pixels
     if not means:
-        raise RadiometryError("session.frames: no dark frames; capture darks before and after the session")
+        raise RadiometryError("session.frames: has no dark frames; capture dark frames before and after the session")
     thermal_dn = thermal_levels_dn({exposure_s: float(np.mean(rows)) for exposure_s, rows in means.items()})
     return {
         exposure_s: _level(np.array(rows), noise_variance_dn2(level, session.rig.camera) / pixels, level)
@@ -288,7 +288,8 @@ def exposure_signals(
         dark = darks.get(frame.exposure_requested_s)
         if dark is None:
             raise RadiometryError(
-                f"{frame.file}: no dark frame of {frame.exposure_s:g} s; capture darks of the same exposure time"
+                f"{frame.file}: no dark frame of {frame.exposure_s:g} s was captured; capture dark frames of the same "
+                "exposure time"
             )
         means = region_means(read(frame), session.plan.region, full_scale_dn)
         signal = _one_exposure(session, frame, means, dark)

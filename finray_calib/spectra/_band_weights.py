@@ -201,7 +201,7 @@ def _checked_curves(
     """Return the curves as arrays on one increasing grid."""
     wavelength = _curve("wavelength_nm", wavelength_nm, 1, None)
     if wavelength.size < 2 or (np.diff(wavelength) <= 0).any():
-        raise CurveError("wavelength_nm: must be two or more increasing wavelengths in nm")
+        raise CurveError("wavelength_nm: must be two or more wavelengths in nm, in increasing order")
     tables = (("transmission", transmission), ("response", response))
     curves = (("lamp", lamp), ("white_reflectance", white_reflectance), ("laser", laser))
     return (
@@ -216,8 +216,8 @@ def _lit_white(white_signal: FloatArray) -> FloatArray:
     if (white_signal <= 0).any():
         band, channel = np.argwhere(white_signal <= 0)[0]
         raise FitError(
-            f"white signal of band {band}, channel {channel} is zero: lamp, white reference, filter and camera "
-            "curves have no common wavelength; check their ranges in nm"
+            f"white signal of band {band}, channel {channel} is zero, because lamp, white reference, filter and "
+            "camera curves have no common wavelength; check their ranges in nm"
         )
     return white_signal
 
@@ -226,11 +226,11 @@ def _visible_laser(laser_white: FloatArray, white_signal: FloatArray, excitation
     """Return V, the laser on white as the excitation filter's band sees it."""
     if not 0 <= excitation_band < len(white_signal):
         raise FitError(
-            f"excitation_band: {excitation_band} does not exist; there are bands 0 to {len(white_signal) - 1}"
+            f"excitation_band: {excitation_band} does not exist; valid bands are 0 to {len(white_signal) - 1}"
         )
     visible = float(share @ (laser_white[excitation_band] / white_signal[excitation_band]))
     if visible <= 0:
-        raise FitError(f"excitation band {excitation_band} passes no laser light: check filter and laser curves")
+        raise FitError(f"excitation band {excitation_band} passes no laser light; check filter and laser curves")
     return visible
 
 
@@ -239,9 +239,12 @@ def _curve(name: str, values: ArrayLike, dimensions: int, length: int | None) ->
     array = np.array(values, dtype=np.float64)
     if array.ndim != dimensions or (length is not None and array.shape[-1] != length):
         wanted = f"{dimensions} dimension(s)" + ("" if length is None else f" and {length} wavelengths")
-        raise CurveError(f"{name}: shape {array.shape} is wrong, it must have {wanted}")
+        raise CurveError(f"{name}: has shape {array.shape}, but must have {wanted}")
     if not (np.isfinite(array) & (array >= 0)).all():
-        raise CurveError(f"{name}: {int((~(array >= 0)).sum())} values are negative or not finite; must be 0 or more")
+        raise CurveError(
+            f"{name}: {int((~(array >= 0)).sum())} values are negative or not finite, but all must be "
+            "finite and 0 or more"
+        )
     return array
 
 
@@ -249,7 +252,7 @@ def _channel_shares(channel_weights: ArrayLike, channels: int) -> FloatArray:
     """Return the checked weights of the channels."""
     share = _curve("channel_weights", channel_weights, 1, channels)
     if abs(share.sum() - 1) > 1e-9:  # rounding of decimals written by hand is far below
-        raise FitError(f"channel_weights: their sum is {share.sum():g}, but must be 1")
+        raise FitError(f"channel_weights: the weights sum to {share.sum():g}, but must sum to 1")
     return share
 
 
@@ -263,7 +266,7 @@ def _unit_area(name: str, curve: FloatArray, quadrature: FloatArray) -> FloatArr
     """Return the curve divided by its area."""
     area = float(curve @ quadrature)
     if area <= 0:
-        raise CurveError(f"{name}: area is zero on the grid; check its wavelength range in nm")
+        raise CurveError(f"{name}: the area under the curve is zero on the grid; check the wavelength range in nm")
     return curve / area
 
 

@@ -127,7 +127,7 @@ def family_named(name: str) -> EmissionFamily:
         There is no such family.
     """
     if name not in FAMILIES:
-        raise FitError(f"family: {name!r} is unknown; the families are {', '.join(FAMILIES)}")
+        raise FitError(f"family: {name!r} is unknown; valid families are {', '.join(FAMILIES)}")
     return FAMILIES[name]
 
 
@@ -250,8 +250,8 @@ def shape_tables(kappa: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     if not (np.abs(values) <= KAPPA_LIMIT).all():
         largest = float(np.abs(values).max())
         raise CurveError(
-            f"skew-Cauchy curve: abs(asinh(skewness)) is {largest:.3g}, allowed is at most {KAPPA_LIMIT:g}; "
-            "a larger skewness is not distinguishable from a half Cauchy, so limit it"
+            f"skew-Cauchy curve: abs(asinh(skewness)) is {largest:.3g}, but at most {KAPPA_LIMIT:g} is allowed; limit "
+            "the skewness, because a larger one cannot be told from a half Cauchy"
         )
     w = np.sinh(np.abs(values))
 

@@ -29,7 +29,7 @@ _ENERGY = (
 )
 _PHOTONS = (
     "under the laser at {laser_nm:g} nm more photons leave the paint than come in, by more than two standard "
-    "deviations ({emitted:.3f} emitted, {reflected:.3f} reflected, together {both:.3f} +- {sd:.3f}): check the "
+    "deviations ({emitted:.3f} emitted, {reflected:.3f} reflected, together {both:.3f} +- {sd:.3f}); check the "
     "calibration of emission and reflectance"
 )
 
@@ -105,9 +105,9 @@ def reradiation_matrix(
     draws = absorption.absorption_rel_draws
     if emission_draws_per_nm.shape != (len(draws), emission_nm.size):
         raise CurveError(
-            f"re-radiation matrix of {name}: emission draws have shape {emission_draws_per_nm.shape}, but "
-            f"must have ({len(draws)} draws of the absorption, {emission_nm.size} wavelengths in nm): pair "
-            "them one to one"
+            f"re-radiation matrix of {name}: emission draws have shape {emission_draws_per_nm.shape}, but must have "
+            f"({len(draws)} draws of the absorption, {emission_nm.size} wavelengths in nm); pair emission and "
+            "absorption draws one to one"
         )
     excitation_nm, laser_nm = absorption.excitation_nm, absorption.laser_nm
     excited = draws * (excitation_nm / laser_nm)
@@ -234,7 +234,7 @@ def absorptance(
     )
     if not ((absorbance > 0).all() and (red > 0).all() and (blue > 0).all() and ((floor >= 0) & (floor <= 1)).all()):
         raise CurveError(
-            "absorption band: absorbance and both half widths (nm) must be above 0 and the blue floor within 0 to 1"
+            "absorption band: absorbance and half widths (nm) must be above 0, and the blue floor must be within 0 to 1"
         )
     distance = x - peak
     bell = np.exp(-LN_2 * (distance / np.where(distance > 0, red, blue)) ** 2)

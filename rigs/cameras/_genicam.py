@@ -48,8 +48,8 @@ def raw_pixels(offered: tuple[str, ...], bit_depth: int, camera: str) -> RawPixe
         if f"{colours}{bits}" in offered:
             return RawPixels(f"{colours}{bits}", bits)
     raise RefusedError(
-        f"{camera}: has no raw pixel format with {bit_depth} bits and Bayer pattern RGGB; it offers "
-        f"{', '.join(offered)}: correct bit_depth of the rig file, or use another camera"
+        f"{camera}: has no raw pixel format with {bit_depth} bits and Bayer pattern RGGB, only {', '.join(offered)}; "
+        "correct bit_depth in the rig file, or use another camera"
     )
 
 
@@ -76,7 +76,7 @@ def right_aligned(counts: NDArray[np.uint16], pixels: RawPixels, bit_depth: int,
         return counts >> np.uint16(surplus)
     if counts.max(initial=0) >= 2**pixels.bits:
         raise BadFrameError(
-            f"{camera}: {pixels.name} holds a count of {counts.max()} DN, more than {pixels.bits} bits allow; check "
+            f"{camera}: {pixels.name} contains a count of {counts.max()} DN, but {pixels.bits} bits allow less; check "
             "the camera's pixel format"
         )
     return counts
@@ -174,7 +174,7 @@ def configure(features: Features, settings: CameraSettings, camera: str) -> RawP
         _switch_off(features, name, camera)
     _equal_white_balance(features, camera)
     if features.has("Gamma"):
-        _set_number(features, "Gamma", 1.0, 1e-3, camera, "gamma is fixed at 1")
+        _set_number(features, "Gamma", 1.0, 1e-3, camera, "gamma must be 1")
     _whole_frame(features, settings, camera)
     _set_gain(features, settings.gain_db, camera)
     return pixels
@@ -206,8 +206,8 @@ def exposure_name(features: Features, camera: str) -> str:
     name = next((name for name in EXPOSURE_NAMES if features.has(name)), None)
     if name is None:
         raise RefusedError(
-            f"{camera}: has no feature {' or '.join(EXPOSURE_NAMES)}, so its exposure can neither be set nor read; a "
-            "calibration needs a camera with a settable exposure time"
+            f"{camera}: has no feature {' or '.join(EXPOSURE_NAMES)}, so the exposure can be neither set nor read; "
+            "use a camera with a settable exposure time"
         )
     return name
 
@@ -224,15 +224,15 @@ def set_exposure(features: Features, exposure_s: float, camera: str) -> float:
     low_us, high_us = features.bounds(name)
     if not low_us <= 1e6 * exposure_s <= high_us:
         raise RefusedError(
-            f"{camera}: cannot expose for {exposure_s:g} s; it allows {1e-6 * low_us:g} to {1e-6 * high_us:g} s: "
-            "correct shortest_exposure_s and longest_exposure_s of the rig file"
+            f"{camera}: cannot expose for {exposure_s:g} s, only for {1e-06 * low_us:g} to {1e-06 * high_us:g} s; "
+            "correct shortest_exposure_s and longest_exposure_s in the rig file"
         )
     features.set_number(name, 1e6 * exposure_s)
     actual_s = 1e-6 * features.number(name)
     if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * exposure_s:
         raise RefusedError(
-            f"{camera}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; switch automatic "
-            f"exposure and frame rate limits off"
+            f"{camera}: an exposure of {exposure_s:g} s was requested, but the camera uses {actual_s:g} s; switch "
+            "automatic exposure and frame rate limits off"
         )
     return actual_s
 
@@ -265,8 +265,8 @@ def _whole_frame(features: Features, settings: CameraSettings, camera: str) -> N
         largest = features.bounds(size)[1]
         if wanted > largest:
             raise RefusedError(
-                f"{camera}: cannot read out {size} = {wanted} px; its largest is {largest:g} px: correct "
-                f"{size.lower()}_px of the rig file"
+                f"{camera}: cannot read out {size} = {wanted} px, only up to {largest:g} px; correct {size.lower()}_px "
+                "in the rig file"
             )
         _set_number(features, size, wanted, 0.0, camera, f"correct {size.lower()}_px of the rig file")
 
@@ -277,7 +277,7 @@ def _switch_off(features: Features, name: str, camera: str) -> None:
         features.switch(name, False)
         if features.is_on(name):
             raise RefusedError(
-                f"{camera}: {name} cannot be switched off here, and it changes raw counts or limits the exposure; "
+                f"{camera}: {name} changes raw counts or limits the exposure, but finray cannot switch {name} off; "
                 "switch it off in the camera maker's program"
             )
 
@@ -288,7 +288,7 @@ def _equal_white_balance(features: Features, camera: str) -> None:
         return
     for colour in features.entries("BalanceRatioSelector"):
         _set_text(features, "BalanceRatioSelector", colour, camera)
-        _set_number(features, "BalanceRatio", 1.0, BALANCE_STEP, camera, f"white balance ({colour}) changes raw counts")
+        _set_number(features, "BalanceRatio", 1.0, BALANCE_STEP, camera, f"white balance ({colour}) must be off")
 
 
 def _set_gain(features: Features, gain_db: float, camera: str) -> None:
@@ -309,7 +309,7 @@ def _set_text(features: Features, name: str, value: str, camera: str) -> None:
     found = features.text(name)
     if found != value:
         raise RefusedError(
-            f"{camera}: {name} was set to {value} and reads back {found}; set it in the camera maker's program"
+            f"{camera}: {name} was set to {value}, but reads back {found}; set {name} in the camera maker's program"
         )
 
 
@@ -320,7 +320,7 @@ def _set_number(features: Features, name: str, value: float, tolerance: float, c
     features.set_number(name, value)
     found = features.number(name)
     if abs(found - value) > tolerance:
-        raise RefusedError(f"{camera}: {name} was set to {value:g} and reads back {found:g}; {advice}")
+        raise RefusedError(f"{camera}: {name} was set to {value:g}, but reads back {found:g}; {advice}")
 
 
 FIRMWARE_NAMES = ("DeviceFirmwareVersion", "DeviceVersion")
@@ -391,8 +391,8 @@ def image(delivered: DeliveredFrame, pixels: RawPixels, camera: str) -> NDArray[
     needed = shape[0] * shape[1] * np.dtype(pixels.container).itemsize
     if delivered.content.size < needed:
         raise BadFrameError(
-            f"{camera}: frame {delivered.frame_id} holds {delivered.content.size} bytes; {shape[0]} x {shape[1]} px of "
-            f"{pixels.name} need {needed}"
+            f"{camera}: frame {delivered.frame_id} has only {delivered.content.size} bytes, but {shape[0]} x "
+            f"{shape[1]} px of {pixels.name} need {needed} bytes"
         )
     return delivered.content[:needed].view(pixels.container).reshape(shape).astype(np.uint16)
 
@@ -553,7 +553,7 @@ class GenicamCamera:
             self._give_up()
             raise LostError(
                 f"{self._where}: has lost its settings ({', '.join(lost)}), as after a restart; check its power "
-                "supply, and that no other program sets it"
+                "supply, and that no other program changes the settings"
             )
         return settings
 
@@ -589,8 +589,8 @@ class GenicamCamera:
             self._ask(lambda device: device.number(exposure_name(device, self._where)), THERE_S)
             self._give_up()
             raise TimedOutError(
-                f"{self._where}: no frame of {exposure_s:g} s came within {limit_s:.2f} s, though the camera answers; "
-                "check its trigger settings and cable, or allow more time"
+                f"{self._where}: no frame with an exposure of {exposure_s:g} s came within {limit_s:.2f} s, although "
+                "the camera answers; check its trigger settings and cable, or allow more time"
             )
         return delivered
 
@@ -634,8 +634,8 @@ class GenicamCamera:
             identity = device.identity()
             if self._identity not in (None, identity):
                 raise RefusedError(
-                    f"{self._where}: another camera answers now ({identity.model}, serial {identity.serial}); give "
-                    "the serial number as address in the rig file"
+                    f"{self._where}: a different camera answers now ({identity.model}, serial {identity.serial}); to "
+                    "choose the right camera, give its serial number as the address in the rig file"
                 )
             exposure_name(device, self._where)
             pixels = configure(device, self._settings, self._where)

@@ -74,13 +74,13 @@ def read_dng(content: bytes, path: Path) -> DngImage:
     except Exception as error:  # of a broken file the TIFF reader raises nearly anything
         raise BadFrameError(f"{path}: cannot be read as DNG ({error}); check that the file is complete") from error
     if tags is None:
-        raise BadFrameError(f"{path}: holds no colour filter array (Bayer) image; give a raw DNG")
+        raise BadFrameError(f"{path}: contains no colour filter array (Bayer) image; give a raw DNG")
     counts, sites = (plain, list(pattern)) if plain is not None else _by_libraw(content, path)
     order = ORDER_OF_PATTERN.get("".join(map(str, sites)))
     if order is None or counts.ndim != 2:
         raise BadFrameError(
-            f"{path}: Bayer pattern {sites} of an image of shape {counts.shape} is not supported; supported "
-            f"are {', '.join(FIRST_RED)} (red 0, green 1, blue 2)"
+            f"{path}: Bayer pattern {sites} of an image of shape {counts.shape} is not supported; supported patterns "
+            f"are {', '.join(FIRST_RED)} (red 0, green 1, blue 2), of shape (H, W)"
         )
     return DngImage(counts, order, white_dn)
 
@@ -171,8 +171,8 @@ def read_plain_counts(path: Path) -> NDArray[np.uint16]:
     counts = decoded_picture(content, path) if png else tiff_image(content, path, BadFrameError)
     if counts.ndim != 2 or counts.dtype not in (np.uint8, np.uint16):
         raise BadFrameError(
-            f"{path}: is {counts.dtype} of shape {counts.shape}; raw Bayer counts are one number of 8 or 16 bits per "
-            "pixel (H, W): export the raw data, not a picture"
+            f"{path}: is {counts.dtype} of shape {counts.shape}, but raw Bayer counts must be one number of 8 or 16 "
+            "bits per pixel, of shape (H, W); export the raw data, not a picture"
         )
     return counts.astype(np.uint16)
 
@@ -234,7 +234,7 @@ def _appended_raw(content: bytes, path: Path) -> NDArray[np.uint16]:
         if found is not None:
             return found
     raise BadFrameError(
-        f"{path}: no raw data follow the JPEG; a processed picture is not proportional to light: capture with "
+        f"{path}: no raw data follow the JPEG, but a processed picture is not proportional to light; capture with "
         "'raspistill --raw', or use DNG or TIFF"
     )
 
@@ -308,18 +308,18 @@ def decoded_picture(content: bytes, where: object, error: type[FinrayError] = Ba
     elif content.startswith(JPEG_START):
         size = _jpeg_bytes(content, where, error)
     else:
-        raise error(f"{where}: is neither PNG nor JPEG; give a picture of one of these kinds")
+        raise error(f"{where}: is neither PNG nor JPEG; give a PNG or JPEG picture")
     if not 0 < size <= LARGEST_DECODED_BYTES:
         raise error(
-            f"{where}: takes {size / 2**20:.4g} MB when decoded; more than 0 and at most "
-            f"{LARGEST_DECODED_BYTES / 2**20:g} MB are allowed: give a smaller picture"
+            f"{where}: takes {size / 2**20:.4g} MB when decoded, but must take more than 0 and at most "
+            f"{LARGEST_DECODED_BYTES / 2**20:g} MB; give a smaller picture"
         )
     try:
         picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         picture = None
     if picture is None:
-        raise error(f"{where}: cannot be decoded; the picture is damaged: copy it again")
+        raise error(f"{where}: cannot be decoded, because the picture is corrupted; copy it again")
     return np.asarray(picture)
 
 
@@ -345,17 +345,17 @@ def _png_bytes(content: bytes, where: object, error: type[FinrayError]) -> int:
         if name == b"IEND":
             return size
         at = end + 4
-    raise error(f"{where}: is a PNG that is cut off or damaged (a checksum is wrong); copy it again")
+    raise error(f"{where}: is a PNG that is truncated or corrupted (a checksum is wrong); copy it again")
 
 
 def _jpeg_bytes(content: bytes, where: object, error: type[FinrayError]) -> int:
     """Return how many bytes a JPEG's pixels have; its end mark must be there, as a decoder fills in what is missing."""
     if content.find(JPEG_END, len(JPEG_START)) < 0 or not _ends_whole(content):
-        raise error(f"{where}: is a JPEG that is cut off; copy it again")
+        raise error(f"{where}: is a truncated JPEG; copy it again")
     try:
         height, width = jpeg_size_px(content, str(where))
     except BadFrameError:
-        raise error(f"{where}: is a JPEG whose header is damaged; copy it again") from None
+        raise error(f"{where}: is a JPEG with a corrupted header; copy it again") from None
     return width * height * _JPEG_CHANNELS
 
 

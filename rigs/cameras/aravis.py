@@ -386,10 +386,10 @@ def _name(library: Aravis, address: str, where: str) -> str:
     seen = ", ".join(f"{d.name} ({d.model}, serial {d.serial})" for d in listed) or "no camera at all"
     if names:
         raise RefusedError(
-            f"{where}: this address fits several cameras; Aravis sees {seen}: give the serial number as address in the "
-            "rig file"
+            f"{where}: this address fits several cameras (Aravis sees {seen}); give the serial number of one camera "
+            "as the address in the rig file"
         )
     raise LostError(
-        f"{where}: is not there; Aravis sees {seen}: check cable and power, on Linux the access rights of the USB "
-        "device, and the address in the rig file (a camera's name, serial number or IP address)"
+        f"{where}: was not found (Aravis sees {seen}); check cable and power, the access rights of the USB device on "
+        "Linux, and the address in the rig file (a camera's name, serial number or IP address)"
     )

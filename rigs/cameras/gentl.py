@@ -184,8 +184,8 @@ def _harvester(producer: Path, where: str) -> Any:
         ) from None
     if not producer.is_file():
         raise RefusedError(
-            f"{where}: there is no producer {producer}; give the .cti file that came with the camera's software as "
-            "address in the rig file"
+            f"{where}: the producer {producer} does not exist; give the .cti file that came with the camera's "
+            "software as the address in the rig file"
         )
     harvester = Harvester()
     try:
@@ -207,12 +207,12 @@ def _one_of(listed: Any, serial: str, where: str) -> Any:
     seen = ", ".join(f"{d.vendor} {d.model} serial '{d.serial_number}'" for d in listed) or "no camera at all"
     if fitting:
         raise RefusedError(
-            f"{where}: the producer lists several cameras ({seen}); add '#' and the serial number to the address in "
-            "the rig file"
+            f"{where}: the producer lists several cameras ({seen}); add '#' and the serial number of one camera to "
+            "the address in the rig file"
         )
     raise LostError(
-        f"{where}: is not there; the producer lists {seen}: check cable, power, and the serial number after '#' in the "
-        "address of the rig file"
+        f"{where}: was not found (the producer lists {seen}); check cable, power, and the serial number after '#' in "
+        "the address of the rig file"
     )
 
 

@@ -76,8 +76,8 @@ class ImageFolder:
             raise BadFrameError(f"{self._where}: {error}") from error
         if counts.max(initial=0) >= 2**self._settings.bit_depth:
             raise BadFrameError(
-                f"{self._where}: {image.name} holds {counts.max()} DN, more than {self._settings.bit_depth} bits "
-                "allow; correct bit_depth of the rig file"
+                f"{self._where}: {image.name} contains a count of {counts.max()} DN, but {self._settings.bit_depth} "
+                "bits allow less; correct bit_depth in the rig file"
             )
         return RawFrame(
             counts=counts,
@@ -99,8 +99,8 @@ class ImageFolder:
             )
         left = sorted({self._images[number].exposure_s for number in self._unused})
         raise RefusedError(
-            f"{self._where}: none of the {len(self._unused)} images that are left was exposed for {exposure_s:g} s; "
-            f"they have {', '.join(f'{t:g}' for t in left)} s: capture with these exposures"
+            f"{self._where}: none of the {len(self._unused)} unused images has an exposure of {exposure_s:g} s, only "
+            f"of {', '.join(f'{t:g}' for t in left)} s; capture with these exposures"
         )
 
 
@@ -117,7 +117,9 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator[ImageFolder]
     """
     path, where = folder / settings.address, name_of(settings)
     if not path.is_dir():
-        raise RefusedError(f"{where}: there is no folder {path}; give a folder of raw images or a stored session")
+        raise RefusedError(
+            f"{where}: the folder {path} does not exist; give a folder of raw images or a stored session"
+        )
     if (path / SESSION_NAME).is_file():
         yield ImageFolder(settings, _session_images(path, where), "stored session")
     else:
@@ -138,11 +140,13 @@ def _raw_images(path: Path, where: str) -> tuple[StoredImage, ...]:
     """Return the images of a folder in order of their names."""
     files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
-        raise RefusedError(f"{where}: {path} holds no images; supported endings are {', '.join(SUFFIXES)}")
+        raise RefusedError(f"{where}: {path} contains no images; supported file name endings are {', '.join(SUFFIXES)}")
     listed = _listed_exposures(path / EXPOSURES_NAME, where)
     lost = sorted(set(listed) - {file.name for file in files})
     if lost:
-        raise RefusedError(f"{where}: {EXPOSURES_NAME} names {lost[0]}, which is not in {path}; correct the list")
+        raise RefusedError(
+            f"{where}: {EXPOSURES_NAME} names {lost[0]}, but {lost[0]} is missing from {path}; correct the list"
+        )
     images = []
     for file in files:
         exposure_s = listed[file.name] if file.name in listed else read_exposure_s(file)
@@ -175,6 +179,6 @@ def _listed_exposures(path: Path, where: str) -> dict[str, float]:
     wrong = [name for name, exposure_s in listed.items() if not exposure_s > 0.0]
     if wrong:
         raise RefusedError(
-            f"{where}: {path} gives {wrong[0]} an exposure of {listed[wrong[0]]:g} s; it must be above 0"
+            f"{where}: {path} gives {wrong[0]} an exposure of {listed[wrong[0]]:g} s, but exposures must be above 0 s"
         )
     return listed

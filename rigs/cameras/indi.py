@@ -245,8 +245,8 @@ def read_fits_image(data: bytes, name: str) -> FitsImage:
     ):
         raise RefusedError(
             f"{name}: sends FITS with BITPIX {header.get('BITPIX')}, NAXIS {header.get('NAXIS')}, BSCALE "
-            f"{unit['BSCALE']}, BZERO {unit['BZERO']}; one raw image of 16-bit counts is needed (BITPIX 16, NAXIS 2): "
-            "choose a raw 16-bit capture format in the camera's driver"
+            f"{unit['BSCALE']}, BZERO {unit['BZERO']}, but one raw image of 16-bit counts is needed (BITPIX 16, NAXIS "
+            "2); choose a raw 16-bit capture format in the camera's driver"
         )
     width, height = (_length(header.get(axis)) for axis in ("NAXIS1", "NAXIS2"))
     if width * height == 0 or len(data) < start + 2 * width * height:
@@ -354,8 +354,8 @@ class IndiFrames:
         read_back_s = _number(header, "EXPTIME", name)
         if abs(read_back_s - exposure_s) > EXPOSURE_TOLERANCE_REL * exposure_s:
             raise RefusedError(
-                f"{name}: {exposure_s:g} s were requested, but the frame's header states {read_back_s:g} s; "
-                "make sure that no other program uses the camera"
+                f"{name}: an exposure of {exposure_s:g} s was requested, but the frame's header states {read_back_s:g} "
+                "s; make sure that no other program uses the camera"
             )
         gain = self._settings.gain_db
         if "GAIN" in header and abs(_number(header, "GAIN", name) - gain) > _HEADER_DIGITS_REL * max(1.0, gain):
@@ -434,5 +434,8 @@ def _number(header: Mapping[str, CardValue], key: str, name: str) -> float:
     """Return a number of the header."""
     value = header.get(key)
     if not isinstance(value, float):
-        raise RefusedError(f"{name}: the frame's header states no {key}; choose another INDI driver for the camera")
+        raise RefusedError(
+            f"{name}: {key} is missing from the frame's header, or is not a number; choose another "
+            "INDI driver for the camera"
+        )
     return value

@@ -94,16 +94,16 @@ class MicroManagerCamera:
         actual_s = self._call(lambda: self._set_exposure(exposure_s), min(ANSWER_S, deadline_s))
         if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * abs(exposure_s):
             raise RefusedError(
-                f"{self._where}: an exposure of {exposure_s:g} s was requested, but it uses {actual_s:g} s; "
-                "correct shortest_exposure_s and longest_exposure_s of the rig file"
+                f"{self._where}: an exposure of {exposure_s:g} s was requested, but the camera uses {actual_s:g} s; "
+                "correct shortest_exposure_s and longest_exposure_s in the rig file"
             )
         started_utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         limit_s = min(actual_s + READOUT_S, end_s - time.monotonic())
         counts = self._call(self._snap, limit_s)
         if counts.max(initial=0) >= 2**self._settings.bit_depth:
             raise BadFrameError(
-                f"{self._where}: holds a count of {counts.max()} DN, more than {self._settings.bit_depth} bits allow; "
-                "correct bit_depth of the rig file"
+                f"{self._where}: the frame contains a count of {counts.max()} DN, but {self._settings.bit_depth} bits "
+                "allow less; correct bit_depth in the rig file"
             )
         return RawFrame(
             counts=counts,
@@ -150,20 +150,20 @@ class MicroManagerCamera:
         core, settings = self._core, self._settings
         if settings.gain_db:
             raise RefusedError(
-                f"{self._where}: gains of Micro-Manager have no common unit; set the camera's gain in the "
-                "configuration and leave gain_db out of the rig file"
+                f"{self._where}: gain_db cannot be set, because gains of Micro-Manager have no common unit; set the "
+                "camera's gain in the configuration and leave gain_db out of the rig file"
             )
         if core.getNumberOfComponents() != 1 or core.getBytesPerPixel() not in (1, 2):
             raise RefusedError(
                 f"{self._where}: delivers {core.getNumberOfComponents()} component(s) in {core.getBytesPerPixel()} "
-                "bytes a pixel; raw counts of 8 or 16 bits are needed: correct PixelType in the configuration"
+                "bytes a pixel, but raw counts of 8 or 16 bits are needed; correct PixelType in the configuration"
             )
         found = (core.getImageBitDepth(), core.getImageWidth(), core.getImageHeight())
         wanted = (settings.bit_depth, settings.width_px, settings.height_px)
         if found != wanted:
             raise RefusedError(
                 f"{self._where}: has {found[0]} bits and {found[1]} x {found[2]} px, but the rig file states "
-                f"{wanted[0]} bits and {wanted[1]} x {wanted[2]} px: correct bit_depth, width_px and height_px"
+                f"{wanted[0]} bits and {wanted[1]} x {wanted[2]} px; correct bit_depth, width_px and height_px"
             )
 
     def _identity(self) -> DeviceIdentity:
@@ -214,8 +214,8 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator[MicroManager
     configuration = folder / settings.address
     if not configuration.is_file():
         raise RefusedError(
-            f"{name_of(settings)}: there is no configuration file {configuration}; write one with Micro-Manager's "
-            "Hardware Configuration Wizard and give it as address in the rig file"
+            f"{name_of(settings)}: the configuration file {configuration} does not exist; write one with "
+            "Micro-Manager's Hardware Configuration Wizard and give it as the address in the rig file"
         )
     core = CMMCore()
     core.setDeviceAdapterSearchPaths(_adapter_folders(configuration))

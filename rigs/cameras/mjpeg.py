@@ -55,8 +55,8 @@ def open_camera(settings: CameraSettings, folder: Path) -> Iterator["MjpegCamera
     """
     if settings.bit_depth != 8:
         raise RefusedError(
-            f"camera at {settings.address}: camera.bit_depth = {settings.bit_depth}, but a stream of JPEGs "
-            "has 8 bits: write bit_depth = 8, or use a driver of raw counts (picamera2, aravis)"
+            f"camera at {settings.address}: camera.bit_depth is {settings.bit_depth}, but a stream of JPEGs has 8 "
+            "bits; write bit_depth = 8, or use a driver of raw counts (picamera2, aravis)"
         )
     camera = MjpegCamera(settings)
     try:
@@ -155,8 +155,8 @@ class MjpegCamera:
                 return part
             if time.monotonic() > end_s:
                 raise TimedOutError(
-                    f"{self._name}: pictures arrive, but before the deadline none arrived that was exposed after the "
-                    "request; the camera or its server hangs, or the network is slow"
+                    f"{self._name}: pictures arrive, but none that was exposed after the request arrived before the "
+                    "deadline; the camera or its server hangs, or the network is slow"
                 )
 
     def _require_online(self, part: Part) -> None:
@@ -164,13 +164,13 @@ class MjpegCamera:
         online = part.headers.get("x-ustreamer-online")
         if online is None and self._is_ustreamer:
             raise RefusedError(
-                f"{self._name}: is a uStreamer, which serves a stand-in picture when its camera is missing; add "
-                "extra_headers=1 to the address (/stream?extra_headers=1), so that it reports this"
+                f"{self._name}: uStreamer serves a placeholder picture when its camera is missing, but does not "
+                "report this; add extra_headers=1 to the address (/stream?extra_headers=1)"
             )
         if online is not None and online.lower() != "true":
             raise BadFrameError(
-                f"{self._name}: uStreamer has no camera and serves a stand-in picture; check the camera's cable and "
-                "uStreamer's option --device"
+                f"{self._name}: uStreamer has no camera and serves a placeholder picture; check the camera's cable "
+                "and uStreamer's option --device"
             )
 
     def _require_size(self, height_px: int, width_px: int) -> None:
@@ -186,7 +186,7 @@ class MjpegCamera:
         """Refuse the picture that was delivered last time; two pictures of one value each may well be equal."""
         if body == self._last and counts.min() < counts.max():
             raise BadFrameError(
-                f"{self._name}: sent the same picture twice; its camera hangs, or the server repeats a stored picture"
+                f"{self._name}: sent the same picture twice, so the camera hangs or the server repeats a stored picture"
             )
         self._last = body
 

@@ -63,8 +63,8 @@ def chosen_mode(settings: CameraSettings, modes: Sequence[Mode], name: str) -> M
     if asked not in fitting:
         allowed = ", ".join(f"{width} x {height}" for width, height in sorted(fitting)) or "none"
         raise RefusedError(
-            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; with this bit "
-            f"depth it has (width x height, cropped so that the first pixel is red): {allowed}; correct the rig file"
+            f"{name}: has no raw mode of {asked[0]} x {asked[1]} px with {settings.bit_depth} bits; sizes with this "
+            f"bit depth are {allowed} (width x height, cropped so that the first pixel is red). Correct the rig file"
         )
     return fitting[asked]
 
@@ -118,9 +118,8 @@ class RawLayout:
         (width, height), asked = raw["size"], tuple(mode["size"])
         if found is None or (width, height) != asked or bits not in (settings.bit_depth, CONTAINER_BITS):
             raise RefusedError(
-                f"{name}: raw {mode['unpacked']} of {asked[0]} x {asked[1]} px was requested, but it delivers "
-                f"{raw['format']} of {width} x {height} px; update picamera2, or take another size or "
-                "bit_depth"
+                f"{name}: raw {mode['unpacked']} of {asked[0]} x {asked[1]} px was requested, but the camera delivers "
+                f"{raw['format']} of {width} x {height} px; update picamera2, or choose another size or bit_depth"
             )
         frame_px = settings.width_px, settings.height_px
         return cls(
@@ -159,8 +158,8 @@ class RawLayout:
         shifted = unpacked[:, :width]
         if np.any(shifted & ((1 << self.shift) - 1)) or int(shifted.max()) >> self.shift >= 1 << self.bit_depth:
             raise RefusedError(
-                f"{name}: its counts do not fit {self.bit_depth} bits in {self.pixel_format}; correct "
-                "camera.bit_depth of the rig file"
+                f"{name}: the counts do not fit {self.bit_depth} bits in {self.pixel_format}; correct "
+                "camera.bit_depth in the rig file"
             )
         row, column = FIRST_RED[self.order]
         frame = shifted[row : row + self.frame_px[1], column : column + self.frame_px[0]]
@@ -298,8 +297,8 @@ class RaspberryPiCamera:
             finally:
                 request.release()
         raise RefusedError(
-            f"{self._name}: {'; '.join(self._differing(metadata)) or 'all frames are older than the call'}, after "
-            f"{MOST_REQUESTS} frames; choose settings that the camera can take, and end other programs that use it"
+            f"{self._name}: {'; '.join(self._differing(metadata)) or 'all frames are older than the call'} (after "
+            f"{MOST_REQUESTS} frames); choose settings that the camera supports, and end other programs that use it"
         )
 
     def _set(self, exposure_s: float, end_s: float) -> None:
@@ -317,8 +316,8 @@ class RaspberryPiCamera:
             # libcamera gives 0 as the highest where it knows none.
             if value < lowest * (1 - TOLERANCE_REL) or (highest and value > highest * (1 + TOLERANCE_REL)):
                 raise RefusedError(
-                    f"{self._name}: {control} {value * scale:g}{unit} is out of its range: {lowest * scale:g} "
-                    f"to {highest * scale:g}{unit} are allowed"
+                    f"{self._name}: {control} {value * scale:g}{unit} is out of range; {lowest * scale:g} to "
+                    f"{highest * scale:g}{unit} are allowed"
                 )
         frame_us = max(round(FRAME_FACTOR * exposure_us), limits["FrameDurationLimits"][0])
         asked = {
@@ -412,9 +411,9 @@ def _picamera2() -> Any:
         return import_module("picamera2").Picamera2
     except ImportError as error:
         raise MissingExtraError(
-            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}): install it with 'sudo apt "
-            "install python3-picamera2', and make the virtual environment with --system-site-packages; from another "
-            "computer use driver 'mjpeg'"
+            f"driver 'picamera2' runs on a Raspberry Pi and needs picamera2 there ({error}); install it with 'sudo "
+            "apt install python3-picamera2', and make the virtual environment with --system-site-packages. From "
+            "another computer, use driver 'mjpeg'"
         ) from None
 
 
@@ -423,7 +422,7 @@ def _camera_number(address: str, cameras: list[dict[str, Any]]) -> int:
     known = {str(info["Num"]): info for info in cameras}
     if address not in known:
         there = ", ".join(f"{n} ({info['Model']})" for n, info in known.items()) or "none; check the ribbon cable"
-        raise RefusedError(f"camera {address!r}: this Raspberry Pi has no such camera; it has: {there}")
+        raise RefusedError(f"camera {address!r}: does not exist on this Raspberry Pi; its cameras are {there}")
     return int(address)
 
 

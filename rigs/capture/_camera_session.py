@@ -263,7 +263,7 @@ class _Recorder:
             if is_last:  # a camera that is late for good was late in the light, too
                 self._journal.append(SET_ASIDE_EVENT, frames=len(self._store.frames), text=told[0])
                 self._store.set_aside()
-                raise SignalChangedError(f"{told[0]}; restart the camera, then resume: all frames are taken again")
+                raise SignalChangedError(f"{told[0]}; restart the camera, then resume (all frames are taken again)")
             under_light(self._opened, "off", self._takes(darks, "dark frames once more"), self._tell_fault)
 
     def _require_as_metered(self, step: Step, raw: RawFrame) -> None:
@@ -361,7 +361,7 @@ class _Recorder:
                 raise
             full_dn, top_dn = self._store.full_scale_dn, brightest_dn(again.counts[self._store.region])
             raise RefusedError(
-                f"camera: its counts stop at {top_dn:.0f} DN, below full scale ({full_dn} DN): a longer exposure of "
+                f"camera: the counts stop at {top_dn:.0f} DN, below full scale ({full_dn} DN). A longer exposure of "
                 f"{again.exposure_s:.3g} s gives no more, and the light did not change (checked at "
                 f"{first.exposure_s:.3g} s); check bit_depth, or raise the gain"
             ) from changed
@@ -436,15 +436,14 @@ def level_exposures_s(saturation_s: dict[str, float], plan: CameraPlan, camera: 
     first_s = min(saturation_s.values())
     if camera.shortest_exposure_s > LARGEST_FIRST_FRACTION * first_s:
         raise CaptureError(
-            f"camera: the white tile saturates in {first_s:.3g} s; the shortest exposure must be at most "
-            f"{LARGEST_FIRST_FRACTION * first_s:.3g} s, but is {camera.shortest_exposure_s:g} s: dim the lamp, close "
-            f"the aperture or put a filter in the beam (plan.filter_name)"
+            f"camera: the white tile saturates in {first_s:.3g} s, so the shortest exposure must be at most "
+            f"{LARGEST_FIRST_FRACTION * first_s:.3g} s, but is {camera.shortest_exposure_s:g} s; dim the lamp, close "
+            "the aperture or put a filter in the beam (plan.filter_name)"
         )
     if BEYOND_SATURATION * first_s > longest_s:
         raise CaptureError(
-            f"camera: the white tile needs {BEYOND_SATURATION * first_s:.3g} s to saturate, but at most "
-            f"{longest_s:g} s are allowed: brighten the lamp, or raise plan.longest_exposure_s or "
-            "camera.longest_exposure_s"
+            f"camera: the white tile needs {BEYOND_SATURATION * first_s:.3g} s to saturate, but at most {longest_s:g} "
+            "s are allowed; brighten the lamp, or raise plan.longest_exposure_s or camera.longest_exposure_s"
         )
     exposures: list[float] = []
     for sat_s in sorted(saturation_s.values()):
@@ -463,11 +462,11 @@ def level_notes(saturation_s: dict[str, float], plan: CameraPlan, camera: Camera
     for name, sat_s in saturation_s.items():
         if sat_s > longest_s:
             notes.append(
-                f"{name} does not saturate within {longest_s:g} s: use a lamp or filter with more {name} light"
+                f"{name} does not saturate within {longest_s:g} s; use a lamp or filter with more {name} light"
             )
         elif sat_s > LARGEST_CHANNEL_RATIO * first_s:
             notes.append(
                 f"{name} saturates only at {sat_s / first_s:.0f} times the exposure at which the brightest channel "
-                "saturates: charge that spills over from saturated neighbours may disturb it"
+                f"saturates; charge that spills over from saturated neighbours may disturb {name}"
             )
     return tuple(notes)

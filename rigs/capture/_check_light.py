@@ -207,8 +207,8 @@ def require_white(signal_dn: float, rig: RigFile, band: BandPassFilter) -> None:
     least_dn = LEAST_SIGNAL_FRACTION * (2**rig.camera.bit_depth - 1)
     if signal_dn < least_dn:
         raise CaptureError(
-            f"camera: the white tile gives only {signal_dn:.3g} DN through filter {band.name}, {least_dn:.3g} DN are "
-            "needed; check lamp, tile and lens cap"
+            f"camera: the white tile gives only {signal_dn:.3g} DN through filter {band.name}, but at least "
+            f"{least_dn:.3g} DN are needed; check lamp, tile and lens cap"
         )
 
 
@@ -219,9 +219,9 @@ class CameraInUseError(CaptureError):
 def _why_not(rig: RigFile, plan: CheckPlan) -> str | None:
     """Return why no light can be switched on in the middle of an exposure."""
     if rig.is_simulated:
-        return "not possible on a simulated rig: no light can be switched while a simulated exposure runs"
+        return "not possible on a simulated rig, because no light can be switched while a simulated exposure runs"
     if rig.lamp.driver == "manual":
-        return "not possible on this rig: its lamp is switched by hand; this needs a lamp or LED that finray switches"
+        return "not possible on this rig, because its lamp is switched by hand; use a lamp or LED that finray switches"
     return "the plan states 0 tries (latency_tries)" if plan.latency_tries == 0 else None
 
 
@@ -541,15 +541,15 @@ def find_contrast(opened: OpenRig, diode: LightMeter) -> Contrast:
     # closed is above off by more than the threshold is above closed
     if contrast.closed_rel is not None and 2.0 * contrast.closed_rel - contrast.off_rel > contrast.threshold_rel:
         raise CaptureError(
-            f"photodiode: reads {100 * contrast.closed_rel:.2g} % of its scale with the beam closed, and only "
-            f"{100 * contrast.off_rel:.2g} % with the laser off: other light came in while the beam was closed, so "
-            f"the dark level is unknown; keep the box shut, leave the room light as it is, and check again"
+            f"photodiode: reads {100 * contrast.closed_rel:.2g} % of its scale with the beam closed, but only "
+            f"{100 * contrast.off_rel:.2g} % with the laser off, because other light came in while the beam was "
+            "closed; keep the box shut, leave the room light as it is, and check again"
         )
     if float(off.max()) >= contrast.threshold_rel:
         raise CaptureError(
-            f"photodiode: reads {100 * off.max():.2g} % of its scale with the laser off, and less than "
-            f"{100 * contrast.threshold_rel:.2g} % with its beam closed: the laser is not off but dimmed, or "
-            f"something other than its beam was covered; find out which before anybody opens the box"
+            f"photodiode: reads {100 * off.max():.2g} % of its scale with the laser off, but less than "
+            f"{100 * contrast.threshold_rel:.2g} % with its beam closed. The laser is dimmed and not off, or "
+            "something other than its beam was covered; find out which before anybody opens the box"
         )
     return contrast
 
@@ -580,7 +580,7 @@ def _with_closed_beam(opened: OpenRig, diode: LightMeter, contrast: Contrast) ->
             "photodiode, and check again"
         )
     if not opened.close_beam(False):
-        raise CaptureError("laser: nobody has confirmed that its beam is open again; open it, and check again")
+        raise CaptureError("laser: nobody has confirmed that its beam is open again; open the beam, and check again")
     again = _read_with(opened, diode, "laser")
     return replace(found, on_again_rel=float(again.mean()), reported_lit_closed=was_lit and is_lit)
 
@@ -646,6 +646,6 @@ def require_seen(watch: LaserWatch, now_s: Callable[[], float] = time.monotonic)
         if reading.start_s > begun_s and reading.on:
             return
     raise CaptureError(
-        f"laser: is on, and {watch.witness} does not see the laser, so nothing could confirm that the laser is off; "
+        f"laser: is on, but {watch.witness} does not see the laser, so nothing could confirm that the laser is off; "
         f"check the cable of {watch.witness}, and where it points"
     )

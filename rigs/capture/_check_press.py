@@ -56,7 +56,8 @@ def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> L
     require_named("plan.check_name", plan.check_name)
     if rig.stage is None or rig.load_cell is None:
         raise CaptureError(
-            f"rig '{rig.name}': has no [stage] and [load_cell]; this check needs both; describe them in the rig file"
+            f"rig '{rig.name}': has no [stage] or no [load_cell], but this check needs both; describe them in the rig "
+            "file"
         )
     stage, most_n = rig.stage, rig.load_cell.force_limit_n
     low_mm, high_mm = stage.pad_travel_mm
@@ -76,7 +77,7 @@ def check_press_plan(plan: TactileCheckPlan, rig: TactileRig, folder: Path) -> L
     if plan.known_mass is not None and plan.known_mass.mass_kg * HEAVIEST_GRAVITY_M_PER_S2 > rig.load_cell.capacity_n:
         raise CaptureError(
             f"plan.known_mass.mass_kg = {plan.known_mass.mass_kg:g} kg weighs more than the "
-            f"{rig.load_cell.capacity_n:g} N that the cell can bear (capacity_n of the rig file); give a lighter one"
+            f"{rig.load_cell.capacity_n:g} N that the cell can bear (capacity_n of the rig file); give a lighter mass"
         )
     return read_cell_calibration(rig.load_cell, folder)
 
@@ -191,7 +192,7 @@ class _Recorder(CheckRecorder[PressFacts]):
         """Read the cell while nothing moves."""
         settings, cell = self._rig.load_cell, opened.load_cell
         if settings is None or cell is None:
-            raise RefusedError("load cell: the rig has none")
+            raise RefusedError("load cell: is missing; describe it in the rig file")
         return at_rest(cell, settings, self._calibration, opened.clock, self._plan.rest_s)
 
     def _laid(self, opened: OpenTactileRig) -> LaidMass | None:
@@ -204,9 +205,9 @@ class _Recorder(CheckRecorder[PressFacts]):
         for force_n in laid.forces_n:
             if not LEAST_FELT <= force_n / weight_n <= MOST_FELT:
                 raise RefusedError(
-                    f"load cell: feels {force_n:.3g} N of the known mass, which weighs {weight_n:.3g} N; a stage must "
-                    "not press with such a load cell. Place the mass that the plan names on it, or calibrate the "
-                    "cell again ('finray rig calibrate-cell')"
+                    f"load cell: reads {force_n:.3g} N under the known mass, but the mass weighs {weight_n:.3g} N, so "
+                    "a stage must not press with this load cell. Place the mass that the plan names on the cell, or "
+                    "calibrate the cell again ('finray rig calibrate-cell')"
                 )
         return laid
 

@@ -187,8 +187,8 @@ class CheckFrames:
             if not self.shows(band):
                 raise CaptureError(
                     f"camera: the white tile behind filter {band.name} differs by more than {100 * AS_METERED_REL:.0f} "
-                    "% from its metering at the same exposure: the wheel slipped, the lamp changed, or the camera "
-                    "does not expose for as long as it reports. Repair the wheel if its checks failed, let the lamp "
+                    "% from its metering at the same exposure. The wheel slipped, the lamp changed, or the camera "
+                    "does not expose for as long as it reports; repair the wheel if its checks failed, let the lamp "
                     "warm up, switch the camera off and on, then check again"
                 )
 
@@ -242,9 +242,9 @@ class CheckFrames:
         exposures_s = [longest_s / 4, longest_s / 2, longest_s]
         if exposures_s[0] < self._settings.shortest_exposure_s * (1 - 1e-9):
             raise SaturatedError(
-                f"filter {band.name}: the white tile is exposed for {longest_s:g} s, and a quarter of that, which this "
-                f"check also needs, is below the camera's shortest exposure, {self._settings.shortest_exposure_s:g} s; "
-                "dim the lamp or close the aperture"
+                f"filter {band.name}: this check also needs a quarter of the white tile's exposure of {longest_s:g} "
+                f"s, but a quarter is below the camera's shortest exposure of {self._settings.shortest_exposure_s:g} "
+                "s; dim the lamp or close the aperture"
             )
         white = self.white_step(band)
         dark = replace(white, frame_type="dark", light="off")
@@ -334,9 +334,9 @@ class CheckFrames:
             is_clocked = raw.exposure_s >= CLOCKED_S and self._settings.driver != REPLAY_DRIVER
             if is_clocked and took_s < LEAST_TAKEN * raw.exposure_s:
                 raise CaptureError(
-                    f"camera: reads back an exposure of {raw.exposure_s:g} s, but its frame arrived {took_s:.3g} s "
-                    "after the request: it exposes for less than it reports, or delivers an earlier frame; switch the "
-                    "camera off and on, then check its driver and trigger mode"
+                    f"camera: reports an exposure of {raw.exposure_s:g} s, but its frame arrived only {took_s:.3g} s "
+                    "after the request. The camera exposes for less than it reports, or delivers an earlier frame; "
+                    "switch the camera off and on, then check its driver and trigger mode"
                 )
             frames.append(raw.counts[self._region].astype(np.int32))
             read_back_s = raw.exposure_s
@@ -386,10 +386,12 @@ def check_filters(plan: CheckPlan, rig: RigFile) -> list[BandPassFilter]:
     metering_room_dn(plan.target_fraction, 2**rig.camera.bit_depth - 1, rig.camera.black_level_dn)
     if plan.photodiode is not None and rig.is_simulated != (plan.photodiode == "simulated"):
         allowed = "'simulated', as the rig is" if rig.is_simulated else "a serial port or pyserial URL on a real rig"
-        raise CaptureError(f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave it out")
+        raise CaptureError(
+            f"plan.photodiode = '{plan.photodiode}': must be {allowed}; correct it, or leave photodiode out"
+        )
     if plan.photodiode is not None and not rig.is_simulated and plan.photodiode == rig.laser.address:
         raise CaptureError(
-            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, and opening that port would reset "
+            f"plan.photodiode = '{plan.photodiode}': is the address of the laser, and opening this port would reset "
             "the laser's board; give the port of the photodiode's own board"
         )
     return planned_filters(plan.filters, rig)
@@ -601,7 +603,7 @@ class _Recorder(CheckRecorder[CheckFacts]):
 
 def _not_lit(why: str) -> str:
     """Say that a laser that harms eyes is not lit after an error: it may be that somebody opened the box."""
-    return f"not tried: the laser is not lit again until a person has found the cause: {why}"
+    return f"not tried: the laser is not lit again until a person has found the cause ({why})"
 
 
 def handshakes(opened: OpenRig, rig: RigFile, asked: int = HANDSHAKES) -> tuple[Handshake, ...]:
@@ -650,7 +652,7 @@ def make_moves(
         for k in unlike:
             moves[k] = moves[k].model_copy(update={"arrived_slot": moves[k].to_slot})
         raise CaptureError(
-            f"lamp: the white tile is {factor:.2f} times as bright as at its metering, behind every filter that the "
-            "wheel turned to: the lamp changed, or the camera does not expose for as long as it reports; let the "
+            f"lamp: the white tile is {factor:.2f} times as bright as at its metering behind every filter that the "
+            "wheel turned to. The lamp changed, or the camera does not expose for as long as it reports; let the "
             "lamp warm up, switch the camera off and on, then check again"
         )

@@ -141,9 +141,9 @@ def under_light(
                 "again?"
             ):
                 raise LightLostError(
-                    f"{light}: it went off or stopped answering. It is off now, and is not lit again unless a person "
-                    f"at the terminal says that the box is closed ({error}); find out why, close the box, then "
-                    "continue the capture with --resume"
+                    f"{light}: went off or stopped answering ({error}). It is off now, and is lit again only if a "
+                    "person at the terminal says that the box is closed; find out why it went off, close the box, "
+                    "then continue the capture with --resume"
                 ) from error
             else:
                 began = beginning()  # the time of a person is no fault's
@@ -220,8 +220,8 @@ class CheckedCamera:
         shape = raw.counts.shape
         if len(shape) == 3:
             raise RefusedError(
-                f"camera: delivers colour pictures ({shape[2]} values a pixel); filtered sessions need raw Bayer "
-                "counts: choose a raw pixel format, or another driver"
+                f"camera: delivers colour pictures ({shape[2]} values a pixel), but filtered sessions need raw Bayer "
+                "counts; choose a raw pixel format, or another driver"
             )
         if shape != asked:
             raise FrameSizeError(
@@ -231,9 +231,9 @@ class CheckedCamera:
         # a camera that does not read its exposure back says NaN, which is within nothing
         if not abs(raw.exposure_s / exposure_s - 1.0) <= EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were requested for {step.label}, but the camera reads back "
-                f"{raw.exposure_s:g} s (they may differ by {100 * EXPOSURE_TOLERANCE_REL:.0f} %); correct "
-                "shortest_exposure_s and longest_exposure_s of the rig"
+                f"camera: an exposure of {exposure_s:g} s was requested for {step.label}, but the camera reads back "
+                f"{raw.exposure_s:g} s (a difference of up to {100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); "
+                "correct shortest_exposure_s and longest_exposure_s in the rig file"
             )
 
     def _require_own_header(self, raw: RawFrame, step: Step) -> None:
@@ -247,9 +247,9 @@ class CheckedCamera:
             return
         before = f"as at slot {slot}" if slot != step.slot else f"where it stated '{name}' before"
         raise RefusedError(
-            f"camera: the frame's FILTER header states '{header}' at slot {step.slot}, {before}; the camera takes it "
-            f"from the wheel '{raw.settings.get('active_filter', 'unknown')}': set the camera's ACTIVE_DEVICES to "
-            "the wheel in use and give each slot a name of its own"
+            f"camera: the frame's FILTER header states '{header}' at slot {step.slot}, {before}; the camera takes "
+            f"this header from the wheel '{raw.settings.get('active_filter', 'unknown')}'. Set the camera's "
+            "ACTIVE_DEVICES to the wheel in use, and give each slot a different name"
         )
 
 
@@ -332,8 +332,8 @@ class NewFrames:
         if self._was_last(raw) or (digest in self._delivered and _is_noisy(raw.counts)):
             self._may_be_late = not self._is_replay
             raise BadFrameError(
-                "camera: delivered the same frame twice; its stream has stopped or is late, or a server sends a "
-                "still picture in place of the camera's; until frames arrive in time, each exposure is made twice"
+                "camera: delivered the same frame twice, so its stream has stopped or is late, or a server sends a "
+                "still picture instead of the camera's; each exposure is made twice until frames arrive in time"
             )
         # after a call that failed, a late camera shows what that one asked for
         if self._last is not None and self._calls == 1 and self._is_in_time(raw, self._last):
@@ -374,13 +374,13 @@ def _require_slot(opened: OpenRig, step: Step, when: str) -> int | None:
     position = opened.wheel.position()
     if position is None:
         raise LostError(
-            f"filter wheel: reports no slot {when} the exposure of {step.label}, but slot {step.slot} is needed; the "
-            "wheel is moving or was reconnected: check whether it turns, and check its cable"
+            f"filter wheel: reports no slot {when} the exposure of {step.label}, but slot {step.slot} is needed. The "
+            "wheel is moving or was reconnected; check whether it turns, and check its cable"
         )
     if position != step.slot:
         raise WrongPositionError(
             f"filter wheel: reports slot {position} {when} the exposure of {step.label}, but slot {step.slot} is "
-            "needed; the wheel slipped or is not where the operator left it: home it and start again"
+            "needed. The wheel slipped or is not where the operator left it; home the wheel and start again"
         )
     return position
 
@@ -391,8 +391,8 @@ def _require_lights(opened: OpenRig, planned: LightState) -> tuple[LightName, ..
     for name, on in states.items():
         if on != (name == planned):
             raise (CaptureError if on else LightLostError)(
-                f"{name}: reports that it is {'on' if on else 'off'}, but the state that this step needs is "
-                f"'{planned}'; check its connection, switch and interlock"
+                f"{name}: reports that it is {('on' if on else 'off')}, but this step needs the state '{planned}'; "
+                f"check the connection, switch and interlock of the {name}"
             )
     return tuple(name for name, on in states.items() if on)
 
@@ -482,13 +482,13 @@ class TactileCamera:
             if not self._one_exposure:
                 raise RefusedError(
                     "camera: does not report its exposure time, so all images of a bracket would have the same "
-                    "exposure; give one exposure in exposures_s (the one set at the camera's server)"
+                    "exposure; give only one exposure in exposures_s, as set at the camera's server"
                 )
         elif abs(raw.exposure_s / exposure_s - 1.0) > EXPOSURE_TOLERANCE_REL:
             raise RefusedError(
-                f"camera: {exposure_s:g} s were requested, but the camera reads back {raw.exposure_s:g} s (they may "
-                f"differ by {100 * EXPOSURE_TOLERANCE_REL:.0f} %); correct the exposures of the plan or the limits of "
-                "the rig"
+                f"camera: an exposure of {exposure_s:g} s was requested, but the camera reads back {raw.exposure_s:g} "
+                f"s (a difference of up to {100 * EXPOSURE_TOLERANCE_REL:.0f} % is allowed); correct the exposures of "
+                "the plan or the limits of the rig"
             )
         self._require_images(raw)
         self._frames.require_new(raw)
@@ -505,7 +505,7 @@ class TactileCamera:
             )
         if pixels.lower().startswith("mono"):
             raise RefusedError(
-                f"camera: delivers {pixels}, and a tactile capture needs colours (Bayer RGGB or RGB); use a colour "
+                f"camera: delivers {pixels}, but a tactile capture needs colours (Bayer RGGB or RGB); use a colour "
                 "camera"
             )
         if int(counts.max()) >= 2**self._settings.bit_depth:
@@ -620,9 +620,8 @@ def meter_exposure(
     if fits < 0:
         raise SaturatedError(
             f"{what}: the region is brighter than {100 * target_fraction:.0f} % of full scale ({full_scale_dn} DN) "
-            f"even at the "
-            f"shortest exposure; the camera allows {ladder[0]:g} to {ladder[-1]:g} s: dim the light, close the "
-            "aperture or raise target_fraction"
+            f"even at the shortest exposure (the camera allows {ladder[0]:g} to {ladder[-1]:g} s); dim the light, "
+            "close the aperture or raise target_fraction"
         )
     return ladder[fits]
 
@@ -638,8 +637,8 @@ def require_ready(opened: OpenRig, steps: Sequence[Step]) -> None:
     lost = sorted({step.slot for step in steps if step.slot is not None} - set(opened.wheel.slots))
     if lost:
         raise CaptureError(
-            f"filter wheel: has no slot {lost[0]}; its slots are {', '.join(map(str, opened.wheel.slots))}: correct "
-            "the slots of the rig file, or split the plan into sessions with fewer filters"
+            f"filter wheel: has no slot {lost[0]}, only {', '.join(map(str, opened.wheel.slots))}; correct the slots "
+            "in the rig file, or split the plan into sessions with fewer filters"
         )
     for name, light in (("lamp", opened.lamp), ("laser", opened.laser)):
         if light.state():

@@ -106,11 +106,11 @@ def judge_filters(
     if len(names) > 1 and 0 < seen.sum() < len(names):
         return _judge_seen(names, seen, measured, predicted, lamp_off, apart)
     if not seen.any():
-        return FilterProof(verdict="cannot tell", text=f"the white tile gives no signal through any filter: {TOO_DIM}")
+        return FilterProof(verdict="cannot tell", text=f"the white tile gives no signal through any filter; {TOO_DIM}")
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
             verdict="cannot tell",
-            text="the white tile is dark through every filter: the lamp is off, or no light reaches the camera",
+            text="the white tile is dark through every filter, so the lamp is off or no light reaches the camera",
         )
     if len(names) < 2:
         return FilterProof(
@@ -151,12 +151,12 @@ def _judge_seen(
     kept = [name for name, is_seen in zip(names, seen, strict=True) if is_seen]
     if len(kept) < FEWEST_COMMON:
         give = "filter gives" if len(kept) == 1 else "filters give"
-        text = f"only {len(kept)} {give} a signal on the white tile: {TOO_DIM}"
+        text = f"only {len(kept)} {give} a signal on the white tile; {TOO_DIM}"
         return FilterProof(verdict="cannot tell", text=text)
     proof = judge_filters(kept, measured[seen], predicted[seen], lamp_off, apart)
     verdict = proof.verdict if proof.verdict == "contradicted" else "cannot tell"
     dim = f"filter {unseen} is" if len(kept) == len(names) - 1 else f"filters {unseen} are"
-    return FilterProof(verdict=verdict, text=f"{proof.text}; {dim} too dim to be judged: {TOO_DIM}")
+    return FilterProof(verdict=verdict, text=f"{proof.text}; {dim} too dim to be judged ({TOO_DIM})")
 
 
 def signal_floor(
@@ -185,13 +185,13 @@ def _alike_at_every_slot(name: str, still_lit: bool) -> FilterProof:
     if still_lit:
         return FilterProof(
             verdict="cannot tell",
-            text="the picture is the same at every slot and hardly changes when the lamp goes off: the camera does "
-            "not see the lamp, or other light is much brighter",
+            text="the picture is the same at every slot and hardly changes when the lamp goes off, so the camera "
+            "does not see the lamp, or other light is much brighter",
         )
     return FilterProof(
         verdict="contradicted",
-        text=f"the frames show filter {name} at every slot: the wheel reports new slots but does not turn; check its "
-        f"motor, belt and filters",
+        text=f"the frames show filter {name} at every slot, so the wheel reports new slots but does not turn; check "
+        "its motor, belt and filters",
     )
 
 
@@ -235,13 +235,13 @@ def compare_with_last(
     """
     if measured.max() < LEAST_RATE_DN_PER_S:
         return FilterProof(
-            verdict="cannot tell", text="the white tile is dark, so that it cannot be compared with an earlier session"
+            verdict="cannot tell", text="the white tile is dark, so it cannot be compared with an earlier session"
         )
     before = dict(zip(_white_filters(last), last.white_rates_dn_per_s, strict=False))
     seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor
     common = [name for name, is_seen in zip(names, seen, strict=True) if name in before and is_seen]
     if len(common) < FEWEST_COMMON:
-        dim = "" if seen.all() else f", of those that are bright enough: {TOO_DIM}"
+        dim = "" if seen.all() else f", of those that are bright enough; {TOO_DIM}"
         shared = f"only {len(common)} filter{'' if len(common) == 1 else 's'}" if common else "no filter"
         return FilterProof(verdict="cannot tell", text=f"the earlier session shares {shared} with this one{dim}")
     now, then = measured[[list(names).index(name) for name in common]], np.array([before[name] for name in common])
@@ -253,8 +253,8 @@ def compare_with_last(
         return FilterProof(
             verdict="contradicted",
             text=f"behind filter {common[worst]} the white tile differs from the earlier session by a factor of "
-            f"{np.exp(off[worst]):.2f} (a factor of up to {np.exp(LARGEST_DRIFT_LN):.2f} counts as drift): a filter "
-            "was changed, soiled or slipped, or the lamp was replaced",
+            f"{np.exp(off[worst]):.2f} (a factor of up to {np.exp(LARGEST_DRIFT_LN):.2f} counts as drift), "
+            "so a filter was changed, soiled or slipped, or the lamp was replaced",
         )
     return FilterProof(
         verdict="confirmed",

@@ -142,15 +142,15 @@ def read_cell_calibration(settings: LoadCellSettings, folder: Path) -> LoadCellC
     path = folder / settings.calibration
     if not path.is_file():
         raise RecordError(
-            f"{path}: no such file, and without a calibration the counts of the load cell cannot be converted "
-            f"to newtons; write it with: finray rig calibrate-cell RIG --out {path}"
+            f"{path}: the calibration of the load cell is missing, so counts cannot be converted to newtons; write it "
+            f"with 'finray rig calibrate-cell RIG --out {path}'"
         )
     calibration = read_record(path, LoadCellCalibration)
     driver, _, _ = calibration.cell.rpartition(", ")[2].partition(" ")
     if driver != settings.driver:
         raise RecordError(
-            f"{path}: is the calibration of '{calibration.cell}', but load_cell.driver of the rig file is "
-            f"{settings.driver}; calibrate this cell: finray rig calibrate-cell RIG --out {path}"
+            f"{path}: is the calibration of '{calibration.cell}', but load_cell.driver in the rig file is "
+            f"{settings.driver}; calibrate this cell with 'finray rig calibrate-cell RIG --out {path}'"
         )
     return calibration
 
@@ -163,14 +163,14 @@ def calibration_notes(rig: TactileRig, calibration: LoadCellCalibration) -> tupl
     _, _, address = calibration.cell.rpartition(", ")[2].partition(" ")
     if address != settings.address:
         notes.append(
-            f"load cell: was calibrated at '{address}' and is at '{settings.address}' now; if a different cell is "
+            f"load cell: was calibrated at '{address}', but is at '{settings.address}' now; if a different cell is "
             "connected, calibrate that cell"
         )
     if settings.force_limit_n > heaviest_n:
         notes.append(
             f"load cell: forces above {heaviest_n:.3g} N, the heaviest mass of its calibration, are extrapolated "
-            f"(force_limit_n is {settings.force_limit_n:g} N); their uncertainty is valid only where the cell is "
-            f"linear beyond that mass"
+            f"(force_limit_n is {settings.force_limit_n:g} N); the uncertainty of these forces is valid only if the "
+            "cell is linear beyond this mass"
         )
     return tuple(notes)
 
@@ -311,15 +311,15 @@ class ForceGauge:
         rate_hz = (SETTLING_READINGS + TARE_READINGS + 2) / max(now_s() - began_s, 1e-9)
         if not 0.5 < rate_hz / settings.rate_hz < 2.0:
             raise CaptureError(
-                f"load cell: sends {rate_hz:.3g} readings a second, but rate_hz of the rig file is "
-                f"{settings.rate_hz}; correct it, or set the RATE pin of the HX711 (low: 10, high: 80)"
+                f"load cell: sends {rate_hz:.3g} readings a second, but rate_hz in the rig file is {settings.rate_hz}; "
+                "correct rate_hz, or set the RATE pin of the HX711 (low: 10, high: 80)"
             )
         allowed_n, off_n = UNLOADED_SHARE * settings.force_limit_n, (self._zero - self._unloaded) * self._slope
         if abs(off_n) > allowed_n:
             raise CaptureError(
-                f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch it "
-                f"({allowed_n:.3g} N are allowed): something lies or presses on the cell, a wire of its "
-                "bridge is broken, or this is another cell; free the cell, check its wires, or calibrate it as mounted"
+                f"load cell: reads {off_n:.3g} N by its calibration where nothing should touch it (at most "
+                f"{allowed_n:.3g} N is allowed). Something lies or presses on the cell, a wire of its bridge is "
+                "broken, or this is another cell; free the cell, check its wires, or calibrate it as mounted"
             )
         self._first_zero = self._zero
 
@@ -339,15 +339,15 @@ class ForceGauge:
         if COARSE_SD * self.noise_n > allowed_n:
             raise CaptureError(
                 f"load cell: noise of {self.noise_n:.2g} N in one reading is too much for force_limit_n = "
-                f"{self._settings.force_limit_n:g} N ({allowed_n / COARSE_SD:.2g} N are allowed); shield its wires, "
-                "fasten the cell, or set it to 10 readings a second"
+                f"{self._settings.force_limit_n:g} N (at most {allowed_n / COARSE_SD:.2g} N is allowed); shield the "
+                "cell's wires, fasten the cell, or set it to 10 readings a second"
             )
         moved_n = (self._zero - self._first_zero) * self._slope
         if abs(moved_n) > allowed_n:
             raise CaptureError(
-                f"load cell: is {moved_n:+.3g} N off its tare at the beginning of the session ({allowed_n:.3g} N are "
-                "allowed): its zero drifts, or the indenter still presses the pad; let the cell warm up and tighten "
-                "its mount, or move the indenter off the pad, then resume"
+                f"load cell: is {moved_n:+.3g} N off its tare at the beginning of the session (at most {allowed_n:.3g} "
+                "N is allowed). Its zero drifts, or the indenter still presses the pad; let the cell warm up and "
+                "tighten its mount, or move the indenter off the pad, then resume"
             )
 
     def mean(self, readings: int = STEP_READINGS, watch: Callable[[], object] | None = None) -> Force:
@@ -505,7 +505,7 @@ class OpenTactileRig:
     def camera_there(self) -> Camera:
         """Return the camera, which was opened."""
         if self.camera is None:
-            raise RefusedError("camera: it could not be opened; check its address in the rig file and its cable")
+            raise RefusedError("camera: could not be opened; check its address in the rig file and its cable")
         return self.camera
 
     def press_devices(self) -> tuple[PressDevice, ...]:
@@ -569,7 +569,9 @@ def _open_finger(rig: TactileRig) -> OpenTactileRig:
     from rigs.simulated import FingerCamera, FingerOperator, FingerState, SimulatedLoadCell, SimulatedStage
 
     if rig.simulated is None or rig.load_cell is None:
-        raise RefusedError(f"rig '{rig.name}': a simulated finger needs its [simulated] and [load_cell] tables")
+        raise RefusedError(
+            f"rig '{rig.name}': has no [simulated] or no [load_cell] table, but a simulated finger needs both"
+        )
     state, seed = FingerState(rig), rig.simulated.seed
 
     def lay(mass_kg: float) -> None:

@@ -239,7 +239,7 @@ class FrameStore:
         if metered is None:
             if max(now) > self.visible_dn_per_s(raw.exposure_s):
                 raise SignalChangedError(
-                    f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off, and at most "
+                    f"camera: {step.label} gives {max(now):.3g} DN/s with all lights off, but at most "
                     f"{self.visible_dn_per_s(raw.exposure_s):.3g} DN/s are allowed; close the box, and check that all "
                     "lights are off"
                 )
@@ -250,9 +250,9 @@ class FrameStore:
             # a channel that was too dim for a ratio is compared by its difference
             if not is_alike if before > visible_dn_per_s else rate - before > visible_dn_per_s:
                 raise SignalChangedError(
-                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at metering (a "
-                    f"factor of {LARGEST_CHANGE:g} is allowed): the wheel slipped, the light changed or something "
-                    "moved; find and correct the cause, then continue or resume: all steps are metered again"
+                    f"camera: {step.label} gives {rate:.3g} DN/s in {name}, but gave {before:.3g} DN/s at metering, a "
+                    f"change beyond the allowed factor of {LARGEST_CHANGE:g}, so the wheel slipped, the light changed "
+                    "or something moved; correct the cause, then continue or resume (all steps are metered again)"
                 )
 
     def require_same_colour(self, step: Step, raw: RawFrame, metered: Metered) -> None:
@@ -276,10 +276,10 @@ class FrameStore:
         changed = self.other_colour(step, now, metered)
         if changed is not None:
             raise SignalChangedError(
-                f"camera: {step.label} shows a different colour from that at metering: the ratio of two of its "
-                f"channels changed by {changed}, which a light that only dims does not cause. The wheel stopped "
-                "between two filters, or other light came in, or the dark level drifted: home the wheel, close the "
-                "box, let the camera warm up, then continue or resume: all steps are metered again"
+                f"camera: {step.label} shows a different colour than at metering. The ratio of two of its channels "
+                f"changed by {changed}, which a light that only dims does not cause; the wheel stopped between two "
+                "filters, other light came in, or the dark level drifted. Home the wheel, close the box, let the "
+                "camera warm up, then continue or resume (all steps are metered again)"
             )
 
     def other_colour(self, step: Step, now: Metered, before: Metered) -> str | None:
@@ -292,7 +292,7 @@ class FrameStore:
         rows, columns = self.region
         pixels = (rows.stop - rows.start) * (columns.stop - columns.start)
         change, allowed = colour_change(now, before, self._settings, pixels)
-        return f"{100 * change:.2g} % ({100 * allowed:.2g} % is allowed)" if change > allowed else None
+        return f"{100 * change:.2g} % (at most {100 * allowed:.2g} % is allowed)" if change > allowed else None
 
     def missing(self, shots: Iterable[Shot]) -> list[Shot]:
         """Return the shots that are still to be taken, after checking that the disk can hold them.
@@ -335,8 +335,8 @@ class FrameStore:
             sha256 = write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s")
         except OSError as error:
             raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then "
-                f"finray capture --resume {self._out}"
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then run "
+                f"'finray capture --resume {self._out}'"
             ) from None
         frame = Frame(
             sequence=shot.sequence,
@@ -500,7 +500,7 @@ def colour_notes(frames: Iterable[Frame]) -> tuple[str, ...]:
     if not mono:
         return ()
     return (
-        f"camera: its frames are {', '.join(mono)}, and radiometry reads them as Bayer RGGB: red, green and blue "
-        f"will have the same response, and only the filters separate wavelengths; for a colour camera choose its raw "
+        f"camera: its frames are {', '.join(mono)}, but radiometry reads them as Bayer RGGB, so red, green and blue "
+        "will have the same response, and only the filters separate wavelengths; for a colour camera, choose its raw "
         "Bayer pixel format",
     )

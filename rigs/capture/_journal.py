@@ -191,10 +191,10 @@ class Journal:
         except NoAnswerError:
             raise disk_hangs(self._path, self._path.parent) from None
         except OSError as error:
-            resume = f"finray capture --resume {self._path.parent}"
+            resume = f"run 'finray capture --resume {self._path.parent}'"
             raise CaptureError(
                 f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
-                f"{resume if self._nameless is None else 'begin the capture again: nothing was captured yet'}"
+                f"{resume if self._nameless is None else 'begin the capture again (nothing was captured yet)'}"
             ) from None
 
     def _write(self, line: str) -> None:
@@ -230,7 +230,7 @@ class Journal:
         """Refuse a folder that has a journal."""
         if self._path.exists():
             raise CaptureError(
-                f"{self._path}: exists already: another capture writes into this folder; choose another --out"
+                f"{self._path}: exists already, so another capture writes into this folder; choose another --out"
             )
 
 
@@ -281,9 +281,9 @@ class HealingTime:
         self.lost_s += spent_s
         if self.lost_s > self._most_s:
             raise HealingTimeError(
-                f"{self._folder}: recovery from faults has delayed the session by {self.lost_s:.0f} s, and at "
-                f"most {self._most_s:.0f} s are allowed; {JOURNAL_NAME} lists the faults: repair the "
-                f"device that it names most often, then finray capture --resume {self._folder}"
+                f"{self._folder}: recovery from faults has delayed the session by {self.lost_s:.0f} s, but at most "
+                f"{self._most_s:.0f} s are allowed; repair the device that {JOURNAL_NAME} names most often, then run "
+                f"'finray capture --resume {self._folder}'"
             )
 
 
@@ -370,8 +370,8 @@ def _were(number: int, noun: str, which: str = "") -> str:
 def disk_hangs(path: Path, session: Path) -> CaptureError:
     """Return the error of a file of a session that the disk does not take, and does not refuse either."""
     return CaptureError(
-        f"{path}: the disk does not respond: nothing was written for {DISK_WITHIN_S:g} s or more; check the disk, or "
-        f"the server of the network folder, then finray capture --resume {session}"
+        f"{path}: the disk does not respond (nothing was written for {DISK_WITHIN_S:g} s or more); check the disk, or "
+        f"the server of the network folder, then run 'finray capture --resume {session}'"
     )
 
 
@@ -408,8 +408,8 @@ def linked_lines(folder: Path) -> list[LinkedLine]:
     path = folder / JOURNAL_NAME
     if not path.exists():
         raise CaptureError(
-            f"{folder}: holds no interrupted session ({JOURNAL_NAME}); give the folder that 'finray capture' was "
-            "writing"
+            f"{folder}: contains no interrupted session ({JOURNAL_NAME} is missing); give the folder that 'finray "
+            "capture' was writing"
         )
     content = read_bytes(path, "the journal of a session", CaptureError, LARGEST_TEXT_BYTES)
     lines: list[LinkedLine] = []

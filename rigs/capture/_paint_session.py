@@ -250,7 +250,7 @@ class PaintRecorder:
             again = self._store.take_back()
             self._journal.append("refused", text=f"{told[0]}; {len(again)} dark frames before it are not used")
             if is_last:
-                raise SignalChangedError(f"{told[0]}; the dark frames before it are not used")
+                raise SignalChangedError(f"{told[0]}; the dark frames taken before are not used")
             self._walk([(s.step, s) for s in missing if s.sequence in again], "dark frames once more", self._take)
 
     def _meter_and_prove(self, steps: tuple[Step, ...], last_good: CaptureSession | None, mend: Mend) -> None:
@@ -378,8 +378,9 @@ class PaintRecorder:
                 return
             self._set_aside("twice a frame differed from its metering and the next frame did not")
             raise SignalChangedError(
-                f"{error}; the next frame agreed with the metering. This has now happened twice: the camera delivers "
-                "earlier frames as new ones, or the light flickers; restart the camera, check the light, then resume"
+                f"{error}; the next frame agreed with the metering. This has now happened twice, so the camera "
+                "delivers earlier frames as new ones, or the light flickers; restart the camera, check the light, "
+                "then resume"
             ) from error
 
     def _take_again(self, shot: Shot) -> bool:

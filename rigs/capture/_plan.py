@@ -79,7 +79,7 @@ def paint_steps(plan: PaintPlan, rig: RigFile) -> tuple[Step, ...]:
 def require_named(field: str, name: str) -> None:
     """Refuse an empty name of what is captured: files and records are named after it."""
     if not name.strip():
-        raise CaptureError(f"{field}: is empty; write a name, which files and records will carry")
+        raise CaptureError(f"{field}: is empty; give a name, which files and records will carry")
 
 
 def with_repeat(steps: tuple[Step, ...], excitation_filter: str, exposures_s: Mapping[Step, float]) -> tuple[Step, ...]:
@@ -134,7 +134,9 @@ def planned_filters(names: tuple[str, ...] | None, rig: RigFile) -> list[BandPas
     known = {f.name: f for f in rig.filter_wheel.filters}
     names = tuple(known) if names is None else names
     if not names:
-        raise CaptureError("plan.filters: is empty; name at least one filter or leave the field out for all of the rig")
+        raise CaptureError(
+            "plan.filters: is empty; name at least one filter, or leave plan.filters out to use all filters of the rig"
+        )
     for name in names:
         if name not in known:
             raise CaptureError(f"plan.filters: the rig has no filter '{name}'; its filters are {', '.join(known)}")
@@ -153,8 +155,8 @@ def _excitation_filter(plan: PaintPlan, rig: RigFile, filters: list[BandPassFilt
     if off_nm > 0.5 * chosen.fwhm_nm:
         raise CaptureError(
             f"plan.excitation_filter: filter '{chosen.name}' passes {chosen.center_nm - 0.5 * chosen.fwhm_nm:g} to "
-            f"{chosen.center_nm + 0.5 * chosen.fwhm_nm:g} nm and blocks the laser at {rig.laser.wavelength_nm:g} nm; "
-            "name the filter that passes it"
+            f"{chosen.center_nm + 0.5 * chosen.fwhm_nm:g} nm, so it blocks the laser at {rig.laser.wavelength_nm:g} "
+            "nm; name the filter that passes the laser"
         )
     return chosen
 
@@ -191,7 +193,7 @@ def require_region_inside(region: RegionOfInterest, camera: CameraSettings) -> N
     ):
         if size < SMALLEST_REGION_PX:
             raise CaptureError(
-                f"plan.region.{extent}: {size} px is empty; {SMALLEST_REGION_PX} to {limit} px are allowed"
+                f"plan.region.{extent}: {size} px is too small; {SMALLEST_REGION_PX} to {limit} px are allowed"
             )
         if start + size > limit:
             raise CaptureError(
@@ -244,7 +246,7 @@ def planned_presses(plan: TactilePlan, folder: Path) -> tuple[PlannedPress, ...]
     header, rows = read_csv(path, "the poses that poses_csv of the plan names, relative to the plan", RecordError)
     if not 0 < len(rows) <= MOST_PRESSES:
         raise RecordError(
-            f"{path}: holds {len(rows)} poses; give 1 to {MOST_PRESSES} rows below the header "
+            f"{path}: contains {len(rows)} poses, but must contain 1 to {MOST_PRESSES} rows below the header "
             f"{','.join(PlannedPress.model_fields)}"
         )
     return tuple(_pose(path, line, header, cells) for line, cells in rows)
@@ -290,11 +292,13 @@ def tactile_shots(plan: TactilePlan, camera: CameraSettings, presses: int) -> tu
     allowed = f"{camera.shortest_exposure_s:g} to {camera.longest_exposure_s:g} s"
     if not exposures_s:
         raise CaptureError(
-            f"plan.bracket_powers: none of its exposures is within {allowed}, which the rig allows; change the powers"
+            f"plan.bracket_powers: none of the exposures is within the rig's range of {allowed}; change the powers"
         )
     outside = [t for t in exposures_s if not camera.shortest_exposure_s <= t <= camera.longest_exposure_s]
     if outside:
-        raise CaptureError(f"plan.exposures_s: {outside[0]:g} s is out of range; the rig allows {allowed}: correct it")
+        raise CaptureError(
+            f"plan.exposures_s: {outside[0]:g} s is outside the rig's range of {allowed}; correct the exposure"
+        )
     groups: list[tuple[TactileFrameType, int, int]] = []
     if plan.board is not None:
         groups += [("board", place, 1) for place in range(1, plan.board.images + 1)]

@@ -365,7 +365,7 @@ class PressRounds:
         grows = float(slopes[-1] - slopes[-2]) if slopes.size > 1 else 0.0
         if not slopes.size or slopes[-1] <= 0.0:
             raise RefusedError(
-                f"stage: its first step of {stage.step_mm:g} mm reached {stop_n:g} N already; raise force_limit_n of "
+                f"stage: the first step of {stage.step_mm:g} mm already reached {stop_n:g} N; raise force_limit_n of "
                 "the plan, or shorten step_mm of the rig file"
             )
         return ForceStop(
@@ -424,9 +424,9 @@ class PressRounds:
         points = list(zip(pressed.point_depths_mm, pressed.point_forces_n, strict=True))
         if len(points) < 2:
             raise RefusedError(
-                f"stage: the force is {points[0][1]:.3g} N at the first touch already, so it is not known how much one "
-                f"step of {step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the rig "
-                "file"
+                f"stage: the force is already {points[0][1]:.3g} N at the first touch, so it is not known how much "
+                f"one step of {step_mm:g} mm adds; raise force_limit_n of the plan, or shorten touch_step_mm of the "
+                "rig file"
             )
         end_mm, end_n = points[-1]
         begin_mm, begin_n = next(
@@ -470,8 +470,8 @@ class PressRounds:
         room_mm = stage.into_pad * (pad[0][0] - stage.clear_mm) - known.thickness_mm
         if room_mm < ROOM_STEPS * stage.step_mm:
             raise RefusedError(
-                f"stage: a block of {known.thickness_mm:g} mm leaves {room_mm:.3g} mm below clear_mm = "
-                f"{stage.clear_mm:g} mm, but {ROOM_STEPS * stage.step_mm:g} mm are needed; take a thinner one"
+                f"stage: a block of {known.thickness_mm:g} mm leaves only {room_mm:.3g} mm below clear_mm = "
+                f"{stage.clear_mm:g} mm, but {ROOM_STEPS * stage.step_mm:g} mm are needed; take a thinner block"
             )
         if not lay_block(known.thickness_mm):
             return

@@ -164,15 +164,15 @@ def read_interrupted(folder: Path) -> Interrupted:
     rig_camera = start["rig"].get("camera", {}) if isinstance(start["rig"], dict) else {}
     if rig_camera.get("driver") == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, and a replay would begin again with the first image; capture the "
-            f"session again"
+            f"{folder}: replays a folder of images, so it cannot be resumed, because a replay would begin again with "
+            "the first image; capture the session again"
         )
     try:
         interrupted = _replayed(folder, start, lines)
     except (KeyError, TypeError, ValueError):
         raise CaptureError(
-            f"{folder / JOURNAL_NAME}: holds lines that finray did not write; restore it, or capture the session again "
-            "into another folder"
+            f"{folder / JOURNAL_NAME}: contains lines that finray did not write; restore the file, or capture the "
+            "session again into another folder"
         ) from None
     return interrupted
 
@@ -384,7 +384,7 @@ def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> Non
     changed = sorted(name for name in before.keys() | inputs.keys() if before.get(name) != inputs.get(name))
     if changed:
         raise CaptureError(
-            f"{changed[0]}: changed since the session began; restore the file, or capture the session again"
+            f"{changed[0]}: has changed since the session began; restore the file, or capture the session again"
         )
 
 
@@ -403,8 +403,8 @@ def require_same_devices(interrupted: Interrupted, devices: Sequence[DeviceIdent
     before = interrupted.start.get("camera")
     if before is not None and _named(before) != _named(camera.model_dump()):
         raise CaptureError(
-            f"camera: {_named(camera.model_dump())} is connected now, but the session began with {_named(before)}: "
-            f"connect that camera, or capture the session again"
+            f"camera: {_named(camera.model_dump())} is connected now, but the session began with {_named(before)}; "
+            "connect the first camera again, or capture the session again"
         )
     serials: dict[str, str] = interrupted.start.get("serials", {})
     for device in others:
@@ -412,7 +412,7 @@ def require_same_devices(interrupted: Interrupted, devices: Sequence[DeviceIdent
         if began and device.serial != began:
             raise CaptureError(
                 f"{device.role} at {device.address}: the board with serial number '{device.serial}' is connected now, "
-                f"but the session began with '{began}': plug the boards in as before, or capture the session again"
+                f"but the session began with '{began}'; plug the boards in as before, or capture the session again"
             )
 
 
@@ -437,6 +437,7 @@ def _require_permission(interrupted: Interrupted, rig: RigFile, opened: OpenRig)
     )
     if interrupted.laser_was_lost and is_hazardous(rig.laser) and not opened.operator.allows(question):
         raise LightLostError(
-            "laser: it went off or stopped answering in this session, and is not lit again unless a person at the "
-            "terminal says that the box is closed; find out why, close the box, then run the same command in a terminal"
+            "laser: went off or stopped answering in this session, and is lit again only if a person at the terminal "
+            "says that the box is closed; find out why it went off, close the box, then run the same command in a "
+            "terminal"
         )

@@ -143,7 +143,8 @@ def require_empty(out: Path) -> None:
     """
     if out.exists() and not is_unstarted(out):
         raise CaptureError(
-            f"{out}: exists already and is not an empty folder; a capture never overwrites: choose another --out"
+            f"{out}: exists already and is not an empty folder, and a capture never overwrites files; choose another "
+            "--out"
         )
 
 
@@ -244,7 +245,7 @@ def session_kind(folder: Path) -> SessionKind:
     kind = stored.get("kind") if isinstance(stored, dict) else None
     if kind not in KINDS:
         found = kind_in_words(str(kind)) if kind else "no record of a known kind"
-        raise RecordError(f"{path}: holds {found}, where a capture session or a camera session is needed")
+        raise RecordError(f"{path}: contains {found}, but a capture session or a camera session is needed")
     return KINDS[kind]
 
 
@@ -279,11 +280,12 @@ def _session_file(folder: Path) -> Path:
         raise RecordError(f"{folder}: {what}; give the folder that 'finray capture' wrote")
     if (folder / JOURNAL_NAME).is_file():
         raise RecordError(
-            f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} says "
-            f"why; continue with: finray capture --resume {folder}"
+            f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} "
+            f"says why. Continue with 'finray capture --resume {folder}'"
         )
     raise RecordError(
-        f"{folder}: holds no capture session ({SESSION_NAME}); give the folder that 'finray capture' wrote"
+        f"{folder}: contains no capture session ({SESSION_NAME} is missing); give the folder that 'finray capture' "
+        "wrote"
     )
 
 
@@ -299,7 +301,7 @@ def read_frame_of(folder: Path, frame: Frame) -> NDArray[np.uint16]:
     """
     path = folder / frame.file
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise RecordError(f"{path}: leads out of the session's folder; frames must be plain files inside it")
+        raise RecordError(f"{path}: points outside the session's folder; frames must be plain files inside it")
     return read_frame(path, frame.sha256)
 
 
@@ -350,8 +352,8 @@ def verify_session(folder: Path) -> SessionCheck:
         session, is_sealed = None, True
     if not is_sealed:
         notes.append(
-            f"{SESSION_NAME} was written by a version that stored no checksum of it in the journal, so that only "
-            f"{MANIFEST_NAME} protects its values"
+            f"{SESSION_NAME} was written by a version of finray that stored no checksum of {SESSION_NAME} in the "
+            f"journal, so only {MANIFEST_NAME} protects its values"
         )
     faults += _journal_faults(folder, session, is_sealed, digests.get(path), notes)
     of_manifest, unlisted = manifest_faults(folder, digests)
@@ -360,12 +362,12 @@ def verify_session(folder: Path) -> SessionCheck:
     captured = {folder / JOURNAL_NAME, *digests}
     for file in unlisted:
         if file in captured:
-            text = f"does not list {file.relative_to(folder).as_posix()}: a line was removed"
+            text = f"does not list {file.relative_to(folder).as_posix()}, so a line was removed"
             faults.append(FileFault(folder / MANIFEST_NAME, "changed", text))
         else:
             notes.append(f"{file.relative_to(folder)}: was added later; {MANIFEST_NAME} does not list it")
     if not has_file(folder / MANIFEST_NAME):
-        notes.append(f"without {MANIFEST_NAME}, other files of the session are not checked")
+        notes.append(f"{MANIFEST_NAME} is missing, so other files of the session are not checked")
     return SessionCheck(tuple(faults), tuple(notes), digests)
 
 
@@ -375,7 +377,7 @@ def _read(path: Path) -> tuple[Session, bool]:
     kind = envelope.get("kind") if isinstance(envelope, dict) else None
     if kind not in SESSION_KINDS:
         found = kind_in_words(str(kind)) if kind else "no record of a known kind"
-        raise RecordError(f"{path}: holds {found}, where the record of a session is needed")
+        raise RecordError(f"{path}: contains {found}, but the record of a session is needed")
     session: Any = read_record(path, SESSION_KINDS[kind])
     return session, "content_sha256" in envelope
 
@@ -389,7 +391,7 @@ def _frame_faults(folder: Path, session: Session, digests: dict[Path, str]) -> I
             continue
         try:
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise RecordError(f"{path}: leads out of the session's folder")
+                raise RecordError(f"{path}: points outside the session's folder")
             digests[path] = sha256_of(path)
         except RecordError as error:
             yield FileFault(path, "changed", str(error).removeprefix(f"{path}: "))
@@ -411,15 +413,15 @@ def _journal_faults(
     broken = next((line for line in lines if not line.holds), None)
     if broken is not None:
         said.append(
-            f"line {broken.number}, or an earlier line, was changed or removed: the checksum of line {broken.number} "
-            f"does not follow from the line above it"
+            f"line {broken.number}, or an earlier line, was changed or removed, because the checksum of line "
+            f"{broken.number} does not follow from the line above it"
         )
     linked = [line for line in lines if line.link]
     if is_sealed and (not linked or not lines[0].link or not lines[-1].link):
-        said.append("holds lines without a checksum of the line before: lines were added, changed or removed")
+        said.append("contains lines without a checksum of the line before, so lines were added, changed or removed")
     elif not linked:
         notes.append(
-            f"{JOURNAL_NAME} was written by a version without checksums in its lines, so that only "
+            f"{JOURNAL_NAME} was written by a version of finray without checksums in its lines, so only "
             f"{MANIFEST_NAME} protects it"
         )
     if is_sealed or linked:
@@ -429,7 +431,7 @@ def _journal_faults(
     return [FileFault(path, "changed", text) for text in said]
 
 
-_NO_END: Final = "its last line is not the end of the session, so that lines are missing"
+_NO_END: Final = "its last line is not the end of the session, so lines are missing"
 _NO_CHECKSUM: Final = f"lacks the line that holds the checksum of {SESSION_NAME}"
 
 
@@ -442,7 +444,7 @@ def _ending_faults(lines: list[LinkedLine], session_sha256: str | None) -> Itera
     if noted is None:
         yield _NO_CHECKSUM
     elif session_sha256 is not None and noted.get("sha256") != session_sha256:
-        yield f"holds a checksum of {SESSION_NAME} that differs from the file's: one of the two was changed"
+        yield f"holds a checksum of {SESSION_NAME} that differs from the file's, so one of the two was changed"
 
 
 def _disagreements(lines: list[LinkedLine], session: Session) -> Iterator[str]:
@@ -482,8 +484,8 @@ def complete_session(folder: Path) -> None:
     faults = [fault for fault in found if fault.text not in unfinished]
     if faults:
         raise CaptureError(
-            f"{faults[0].path}: {faults[0].text}; the checksums are not written, because they would hide this: "
-            f"restore the file, or capture the session again"
+            f"{faults[0].path}: {faults[0].text}; the checksums are not written, because they would hide this fault. "
+            "Restore the file, or capture the session again"
         )
     if found:
         with Journal(folder, SystemClock(), resumed=True) as journal:

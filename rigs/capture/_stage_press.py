@@ -74,7 +74,7 @@ TOUCH_MOVED_MM: Final = 0.1
 """A pad that has crept is touched a few hundredths of a millimetre deeper; more means lost steps."""
 PRESS_LESS: Final = "press less deeply, or raise force_limit_n if finger and load cell can bear it"
 NOT_CLEAR: Final = (
-    "the indenter touches before clear_mm of the rig file, or an axis is reversed: correct clear_mm or the axis"
+    "the indenter touches before clear_mm of the rig file, or an axis is reversed; correct clear_mm or the axis"
 )
 
 
@@ -234,7 +234,9 @@ class StagePress:
             f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
             "file counts positions, and is the way to clear_mm free?"
         ):
-            raise NotAllowedError("stage: nobody has confirmed that it is at its zero; bring it there, then resume")
+            raise NotAllowedError(
+                "stage: nobody has confirmed that it is at its zero; bring the stage there, then resume"
+            )
         self._stage.trust_places()
 
     def away(self, watch: Callable[[], None]) -> None:
@@ -242,7 +244,7 @@ class StagePress:
         stage = self._settings
         places = self._stage.places_mm()
         if places is None:
-            raise RefusedError("stage: its position is unknown; resume the session, which homes it")
+            raise RefusedError("stage: its position is unknown; resume the session, which homes the stage")
         at_mm, careful = places[stage.press_axis], self.guard(ZERO_MOVED_SHARE * self.limit_n, NOT_CLEAR)
         while stage.into_pad * (stage.clear_mm - at_mm) > stage.step_mm:
             at_mm += stage.into_pad * stage.step_mm
@@ -316,8 +318,8 @@ class StagePress:
             to_mm = from_mm + stage.into_pad * number * step_mm
             if stage.into_pad * (to_mm - stage.deepest_mm) > 0.0:
                 raise RefusedError(
-                    f"stage: {stage.press_axis} = {stage.deepest_mm:g} mm, the end of its travel into the "
-                    "pad, is reached; if that is not deep enough, raise press_travel_mm in the rig file"
+                    f"stage: has reached {stage.press_axis} = {stage.deepest_mm:g} mm, the end of its travel into the "
+                    "pad; if that is not deep enough, raise press_travel_mm in the rig file"
                 )
             yield to_mm
             number += 1
@@ -337,8 +339,8 @@ class StagePress:
             if abs(force.mean_n) > TOUCH_SD * force.noise_n and self._is_touched():
                 if force.mean_n < 0.0:
                     raise CaptureError(
-                        f"load cell: reports {force.mean_n:.3g} N where the pad is touched: its sign is "
-                        "reversed, or its zero drifts; calibrate the cell as mounted, or let it warm up"
+                        f"load cell: reports {force.mean_n:.3g} N where the pad is touched, so its sign is reversed, "
+                        "or its zero drifts; calibrate the cell as mounted, or let it warm up"
                     )
                 return at_mm, force, been_mm
             self.gauge.follow(force)
@@ -367,8 +369,8 @@ class StagePress:
                     raise
                 if strongest_n > limit_n:
                     raise ForceLimitError(
-                        f"stage: the search for the touch met {strongest_n:.3g} N, beyond the limit of {limit_n:g} N, "
-                        f"in one step of {stage.step_mm:g} mm; shorten step_mm or lower press_speed_mm_per_s of the "
+                        f"stage: the search for the touch met {strongest_n:.3g} N in one step of {stage.step_mm:g} "
+                        f"mm, beyond the limit of {limit_n:g} N; shorten step_mm or lower press_speed_mm_per_s in the "
                         "rig file",
                         strongest_n,
                         limit_n,
@@ -387,9 +389,9 @@ class StagePress:
             at_mm -= stage.into_pad * BACK_STEPS * stage.step_mm
             if stage.into_pad * (at_mm - stage.clear_mm) < 0.0:
                 raise CaptureError(
-                    f"load cell: reports a force near clear_mm = {stage.clear_mm:g} mm, where nothing should "
-                    "touch; its zero drifts, or clear_mm of the rig file is less than "
-                    f"{3 * BACK_STEPS * stage.step_mm:g} mm from the pad; let the cell warm up, or correct clear_mm"
+                    f"load cell: reports a force near clear_mm = {stage.clear_mm:g} mm, where nothing should touch. "
+                    f"Its zero drifts, or clear_mm in the rig file is less than {3 * BACK_STEPS * stage.step_mm:g} mm "
+                    "from the pad; let the cell warm up, or correct clear_mm"
                 )
             self.press_to(at_mm, watch)
             now = self.gauge.mean()
@@ -435,8 +437,8 @@ class StagePress:
                 self._require_seen(touched)
         if press.until_force_n is not None and force.mean_n < FORCE_REACHED * press.until_force_n:
             raise RefusedError(
-                f"stage: the force is {force.mean_n:.3g} N at the depth of {press.depth_mm:g} mm, but until_force_n = "
-                f"{press.until_force_n:g} N; raise depth_mm, or lower until_force_n"
+                f"stage: the force at the depth of {press.depth_mm:g} mm is only {force.mean_n:.3g} N, but "
+                f"until_force_n = {press.until_force_n:g} N; raise depth_mm, or lower until_force_n"
             )
         self._require_same_touch(touched, first_mm)
 
@@ -492,10 +494,10 @@ class StagePress:
         got_n = max(force.mean_n, 0.0) * stage.touch_step_mm / way_mm
         if needed_n > got_n:
             raise CaptureError(
-                f"load cell: too noisy for this pad: a step of touch_step_mm = {stage.touch_step_mm:g} mm changes the "
-                f"force by {1e3 * got_n:.2g} mN, but only a change of {1e3 * needed_n:.2g} mN or more can be "
-                "distinguished from noise and drift; take a longer touch_step_mm, shield the cell's wires, or read it "
-                "10 times a second"
+                f"load cell: is too noisy for this pad. A step of touch_step_mm = {stage.touch_step_mm:g} mm changes "
+                f"the force by {1000.0 * got_n:.2g} mN, but only a change of {1000.0 * needed_n:.2g} mN or more can "
+                "be distinguished from noise and drift; take a longer touch_step_mm, shield the cell's wires, or "
+                "read the cell 10 times a second"
             )
 
     def _require_same_touch(self, touched: _Touched, first_mm: float) -> None:
@@ -512,8 +514,8 @@ class StagePress:
             if abs(moved_mm) > allowed_mm:
                 raise CaptureError(
                     f"stage: at {place_mm:g} mm along the pad, the touch is {moved_mm:+.3f} mm away from the earlier "
-                    f"touch ({allowed_mm:.2f} mm are allowed): the stage lost steps, or the finger moved; drive "
-                    "the stage slower, fasten stage and finger, then resume"
+                    f"touch (at most {allowed_mm:.2f} mm is allowed). The stage lost steps, or the finger moved; "
+                    "drive the stage slower, fasten stage and finger, then resume"
                 )
         self.touches.setdefault(place_mm, (touched.touch_mm, touched.touch_uncertainty_mm))
 
@@ -576,8 +578,9 @@ class StagePress:
         self.measured[contact] = with_zero_shift(self.measured[contact], shift.mean_n)
         if abs(shift.mean_n) > ZERO_MOVED_SHARE * self.limit_n:
             raise CaptureError(
-                f"load cell: its zero moved by {shift.mean_n:+.3g} N during contact {contact} "
-                f"({ZERO_MOVED_SHARE * self.limit_n:.3g} N are allowed); let the cell warm up, fasten it, then resume"
+                f"load cell: its zero moved by {shift.mean_n:+.3g} N during contact {contact} (at most "
+                f"{ZERO_MOVED_SHARE * self.limit_n:.3g} N is allowed); let the cell warm up, fasten the cell, then "
+                "resume"
             )
 
 

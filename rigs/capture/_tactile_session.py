@@ -108,7 +108,7 @@ def tactile_capture(
     triples = _triples(session.frames, contact)
     bracket_s = tuple(sorted(triples))
     if not bracket_s:
-        raise CaptureError(f"{folder}: holds no complete set of frames of contact {contact}; capture it again")
+        raise CaptureError(f"{folder}: has no complete set of frames of contact {contact}; capture it again")
     shown, before, after = _best(triples)
     images = [_image(folder, frame) for frame in (shown, before, after)]
     raw = images[0].shape[2] == 1
@@ -158,8 +158,8 @@ def clipping_notes(frames: Sequence[TactileFrame], contacts: int) -> tuple[str, 
         clipped = max(frame.saturated_fraction for frame in _best(_triples(frames, contact)))
         if clipped > MOST_SATURATED_FRACTION:
             notes.append(
-                f"contact {contact}: {100 * clipped:.1f} % of an image is clipped at the shortest exposure; "
-                "comparisons leave these pixels out: add shorter exposures, or dim the LEDs"
+                f"contact {contact}: {100 * clipped:.1f} % of an image is clipped even at the shortest exposure, and "
+                "comparisons leave these pixels out; add shorter exposures, or dim the LEDs"
             )
     return tuple(notes)
 
@@ -192,7 +192,7 @@ def _image(folder: Path, frame: TactileFrame) -> NDArray[np.uint16]:
     """Return a stored frame as (rows, columns, samples)."""
     path = folder / frame.file
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise RecordError(f"{path}: leads out of the session's folder; frames must be plain files inside it")
+        raise RecordError(f"{path}: points outside the session's folder; frames must be plain files inside it")
     image = read_frame(path, frame.sha256)
     return image[..., None] if image.ndim == 2 else image
 
@@ -276,8 +276,8 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
         raise CaptureError(f"{folder / JOURNAL_NAME}: {UNFIT_BEGINNING}") from None
     if rig.camera.driver == "folder":
         raise CaptureError(
-            f"{folder}: replays a folder of images, and a replay would begin again with the first image; "
-            "capture the session again, into another folder"
+            f"{folder}: replays a folder of images, so it cannot be resumed, because a replay would begin again with "
+            "the first image; capture the session again, into another folder"
         )
     good, unproven = dict[int, TactileFrame](), list[int]()
     for line in lines:
@@ -321,7 +321,7 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
     if interrupted.device not in (None, device):
         raise CaptureError(
             f"camera: {device.model} (serial '{device.serial}') is connected now, but the session began with "
-            f"{interrupted.device}: connect that camera, or capture the session again"
+            f"{interrupted.device}; connect the first camera again, or capture the session again"
         )
     clear_session(folder)
     known = {folder / frame.file for frame in interrupted.frames.values()}
@@ -488,15 +488,16 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if rig.stage is None or rig.load_cell is None:
             if press.until_force_n is not None or press.force_limit_n is not None:
                 raise CaptureError(
-                    f"{where}: names a force, but the rig has no stage with a load cell that could stop at "
-                    "it; describe them in the rig file, or leave the force out"
+                    f"{where}: gives a force, but the rig has no stage with a load cell that could stop at it; "
+                    "describe stage and load cell in the rig file, or leave the force out"
                 )
             continue
         if press.tilt_deg:
-            raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, but the stage cannot tilt; leave it out")
+            raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, but the stage cannot tilt; leave tilt_deg out")
         if (press.until_force_n or 0.0) >= rig.load_cell.force_limit_n:
             raise CaptureError(
-                f"{where}: until_force_n must be below force_limit_n of the rig file, {rig.load_cell.force_limit_n:g} N"
+                f"{where}: until_force_n must be below force_limit_n = {rig.load_cell.force_limit_n:g} N of the rig "
+                "file"
             )
         most_mm = abs(rig.stage.deepest_mm - rig.stage.clear_mm)
         if press.depth_mm > most_mm:
@@ -508,8 +509,8 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         at_mm = rig.stage.base_mm + rig.stage.from_base * press.position_mm
         if not low_mm <= at_mm <= high_mm:
             raise CaptureError(
-                f"{where}: position_mm = {press.position_mm:g} is {rig.stage.pad_axis} = {at_mm:g} mm, outside the "
-                f"stage's travel of {low_mm:g} to {high_mm:g} mm; correct position_mm, or the rig file"
+                f"{where}: position_mm = {press.position_mm:g} leads to {rig.stage.pad_axis} = {at_mm:g} mm, outside "
+                f"the stage's travel of {low_mm:g} to {high_mm:g} mm; correct position_mm, or the rig file"
             )
 
 
@@ -621,10 +622,11 @@ class _Recorder:
         """End a session whose images of no contact changed: the contact before it does not count."""
         text = (
             f"camera: {shot.label} gives {self._level_dn(raw.counts):.4g} DN on average, but the first image of no "
-            f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure (a factor of "
-            f"{LARGEST_CHANGE:g} is allowed): the light, the camera's exposure or the room changed, or something "
-            "still touches the pad; restart the camera, check the light, then resume. The contact before this image "
-            "is repeated. If the first images are the wrong ones, capture into another folder"
+            f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure, a change "
+            f"beyond the allowed factor of {LARGEST_CHANGE:g}. The light, the camera's exposure or the room changed, "
+            "or "
+            "something still touches the pad; restart the camera, check the light, then resume (the contact before "
+            "this image is repeated). If the first images are the wrong ones, capture into another folder"
         )
         self._journal.append(CHANGED_EVENT, text=text)
         raise SignalChangedError(text)
@@ -647,8 +649,8 @@ class _Recorder:
             sha256 = write_frame(self._out / file, raw.counts, shot.label)
         except OSError as error:
             raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then "
-                f"finray capture --resume {self._out}"
+                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then run "
+                f"'finray capture --resume {self._out}'"
             ) from None
         frame = TactileFrame(
             sequence=shot.sequence,

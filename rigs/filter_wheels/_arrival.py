@@ -48,8 +48,8 @@ class Arrival:
             self._elsewhere, self._elsewhere_since_s = at, now_s
         if now_s - self._elsewhere_since_s > self._elsewhere_s:
             raise WrongPositionError(
-                f"{self._name}: was sent to slot {self._slot} and stopped at slot {at}; check whether a filter or "
-                f"cable rubs, switch the wheel off and on, and capture again"
+                f"{self._name}: was sent to slot {self._slot}, but stopped at slot {at}; check whether a filter or "
+                "cable rubs, switch the wheel off and on, and capture again"
             )
         return False
 
@@ -63,7 +63,7 @@ def require_slot(slot: int, slots: Sequence[int], name: str) -> None:
         It has no such slot.
     """
     if slot not in slots:
-        raise RefusedError(f"{name}: has no slot {slot}; {_reach(slots)}: correct the slot numbers of the rig file")
+        raise RefusedError(f"{name}: has no slot {slot} ({_reach(slots)}); correct the slot numbers in the rig file")
 
 
 def require_slots(filters: Sequence[BandPassFilter], slots: Sequence[int], name: str) -> None:

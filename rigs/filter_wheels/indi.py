@@ -116,7 +116,7 @@ class IndiFilterWheel:
                     raise
                 raise LostError(f"{error}; the driver did not answer the request") from error
             if at != slot:
-                _pause(end_s, f"{self._client.name}: did not {what}, it reports {wheel.values.get(_VALUE)}")
+                _pause(end_s, f"{self._client.name}: did not {what}, but reports {wheel.values.get(_VALUE)}")
 
     def _ask(self, end_s: float) -> IndiProperty:
         """Ask the driver for the slot; some say nothing while the wheel turns."""

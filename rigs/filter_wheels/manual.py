@@ -49,8 +49,8 @@ class ManualWheel:
         """
         if slot not in self._filters:
             raise RefusedError(
-                f"filter wheel: has no filter in slot {slot}; its slots are {', '.join(map(str, self.slots))}: correct "
-                "the slot numbers of the rig file"
+                f"filter wheel: has no filter in slot {slot}, only in {', '.join(map(str, self.slots))}; correct the "
+                "slot numbers in the rig file"
             )
         optic = self._filters[slot]
         self._confirmed = None

@@ -92,7 +92,7 @@ class Dialogue:
         if lines[1:] and lines[1].startswith(_ERROR):
             raise RefusedError(
                 f"{self._name}: refuses '{command}' ({lines[1].removeprefix(_ERROR).strip()}); check that it is an "
-                "FW102C or FW212C and that its position count is set right"
+                "FW102C or FW212C, and that its position count is correct"
             )
         return lines[1:]
 
@@ -104,8 +104,8 @@ class Dialogue:
 
     def _garbled(self, command: str, said: list[str]) -> LostError:
         return LostError(
-            f"{self._name}: answers '{command}' with {said!r}; check that no other program uses the port, the cable, "
-            "and that this port belongs to the wheel"
+            f"{self._name}: answers '{command}' with {said!r}, which is not a valid answer; check the cable, that no "
+            "other program uses the port, and that this port belongs to the wheel"
         )
 
 
@@ -220,8 +220,8 @@ class ThorlabsWheel:
         slots = tuple(range(1, count + 1))
         if (self._identity or identity, self._slots or slots) != (identity, slots):
             raise RefusedError(
-                f"{self._name}: another wheel answers now ({identity.model}, {count} slots); connect the one that the "
-                "session began with"
+                f"{self._name}: another wheel answers now ({identity.model}, {count} slots); connect the wheel with "
+                "which the session began"
             )
         self._identity, self._slots = identity, slots
         # The infra-red sensors would light the sample while the wheel rests.
@@ -254,7 +254,7 @@ class ThorlabsWheel:
                 return True, slot
             if seen not in (slot, start) and time.monotonic() - since_s > REST_S:
                 raise WrongPositionError(
-                    f"{self._name}: was sent from slot {start} to slot {slot} and stopped at slot {seen}; check "
+                    f"{self._name}: was sent from slot {start} to slot {slot}, but stopped at slot {seen}; check "
                     "whether a filter or cable rubs, switch the wheel off and on, and capture again"
                 )
             if end_s - time.monotonic() < 2.0 * POLL_S:
@@ -275,7 +275,7 @@ class ThorlabsWheel:
         kept = self._ask_number(setting, end_s)
         if kept != value:
             raise RefusedError(
-                f"{self._name}: the setting '{setting}={value}' was sent, but it reports {setting} = {kept}; "
+                f"{self._name}: the setting '{setting}={value}' was sent, but the wheel reports {setting} = {kept}; "
                 "switch the wheel off and on"
             )
 

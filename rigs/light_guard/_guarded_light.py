@@ -596,9 +596,9 @@ def refusal(laser: LaserSettings, has_dead_man: bool, today: datetime.date | Non
         return None
     when = "in the future" if age_days < 0 else f"{age_days} days ago"
     return (
-        f"the test of its outside layer ({layer.kind}) on {layer.tested_on} is {when}, and at most "
-        f"{TEST_VALID_DAYS} days are allowed for a class {laser.laser_class} laser; test the {layer.kind} "
-        "again and correct tested_on of [laser.outside_layer] in the rig file"
+        f"the test of its outside layer ({layer.kind}) on {layer.tested_on} is {when}, but at most {TEST_VALID_DAYS} "
+        f"days are allowed for a class {laser.laser_class} laser; test the {layer.kind} again and correct tested_on "
+        "of [laser.outside_layer] in the rig file"
     )
 
 

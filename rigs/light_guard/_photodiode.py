@@ -93,7 +93,7 @@ class Photodiode:
                 line = self._link.read_until(b"\n", end_s)
             except TimedOutError:
                 raise TimedOutError(
-                    f"{self._name}: no reading for {deadline_s:g} s; check its cable and supply"
+                    f"{self._name}: sent no reading for {deadline_s:g} s; check its cable and supply"
                 ) from None
             now_s = time.monotonic()
             match = _LINE.fullmatch(line)
@@ -104,8 +104,8 @@ class Photodiode:
                 return LightLevel(int(match[4]), now_s - self._clock.waited_s(int(match[3]), now_s))
             if now_s >= end_s:
                 raise TimedOutError(
-                    f"{self._name}: only damaged lines came for {deadline_s:.2g} s (such as {line[:32]!r}); check its "
-                    "cable, and keep it away from the motors' wires"
+                    f"{self._name}: sent only corrupted data for {deadline_s:.2g} s (such as {line[:32]!r}); check "
+                    "the cable, and keep it away from the motors' wires"
                 )
 
     def _greet(self) -> int:
@@ -119,12 +119,12 @@ class Photodiode:
                         if int(match[1]) == FIRMWARE_MAJOR:
                             return int(match[2])
                         raise RefusedError(
-                            f"{self._name}: runs firmware {match[1].decode()}.{match[2].decode()}; this version of "
-                            f"finray needs {FIRMWARE_MAJOR}.x: flash rigs/lights/firmware/photodiode.c to the board"
+                            f"{self._name}: runs firmware {match[1].decode()}.{match[2].decode()}, but this version "
+                            f"of finray needs {FIRMWARE_MAJOR}.x; flash rigs/lights/firmware/photodiode.c to the board"
                         )
         raise TimedOutError(
-            f"{self._name}: sends no greeting within {GREET_WITHIN_S:g} s; check the cable, the address "
-            "and that its board runs rigs/lights/firmware/photodiode.c"
+            f"{self._name}: sent no greeting within {GREET_WITHIN_S:g} s; check the cable and the address, and that "
+            "its board runs rigs/lights/firmware/photodiode.c"
         )
 
 

@@ -157,9 +157,9 @@ class WatchLine:
             missing = self.process.missing()
             why = self._answer.removeprefix("no ") or missing or f"did not answer within {ARM_WITHIN_S:g} s"
             raise LostError(
-                f"{self._name}: is not switched on, because the process that watches it could not be armed "
-                f"({why}); that process needs a connection of its own to the light's server or port: make "
-                "sure that it accepts a second one, and start again"
+                f"{self._name}: is not switched on, because the process that watches it could not be armed ({why}). "
+                "The process needs a second connection to the light's server or port; make sure that the server or "
+                "port accepts one, and start again"
             )
 
     def listen(self) -> None:

@@ -36,8 +36,8 @@ class Relay:
         count = self._client.get_int("maxswitch", end_s)
         if self._number >= count:
             raise RefusedError(
-                f"{self._client.name}: has no switch {self._number}; its {count} switches are counted from 0: "
-                "correct the address"
+                f"{self._client.name}: has no switch {self._number} ({count} switches, counted from 0); correct the "
+                "address"
             )
         if not self._client.get_bool("canwrite", end_s, Id=self._number):
             raise RefusedError(f"{self._client.name}: switch {self._number} can only be read; correct the address")

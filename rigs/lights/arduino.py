@@ -52,9 +52,8 @@ def parse(line: bytes, name: str) -> Said:
     match = LINE.fullmatch(line)
     if match is None:
         raise GarbledError(
-            f"{name}: sends {line[:32]!r}, which the light's firmware never sends; check the cable, the "
-            f"ground between board and computer, the speed ({BAUD} baud) and that no other program uses the "
-            "port"
+            f"{name}: sends {line[:32]!r}, which the light's firmware never sends; check the cable, the ground "
+            f"between board and computer and the speed ({BAUD} baud), and that no other program uses the port"
         )
     return Said(_WORDS[match[1] or match[2]], (match[3] or b"").decode())
 
@@ -175,8 +174,8 @@ class ArduinoSwitch:
                     pass
         except TimedOutError as error:
             raise RefusedError(
-                f"{self._name}: its dead-man did not switch it off within {PROOF_WITHIN_S:g} s of silence; do not use "
-                "it: flash rigs/lights/firmware again, and check the board"
+                f"{self._name}: its dead-man did not switch it off within {PROOF_WITHIN_S:g} s of silence. Do not use "
+                "it; flash rigs/lights/firmware again, and check the board"
             ) from error
 
     def keep_alive(self) -> None:
@@ -234,16 +233,18 @@ class ArduinoSwitch:
                 "rigs/lights/firmware to the board, or correct the address"
             )
         raise TimedOutError(
-            f"{self._name}: nothing came within {RESET_WITHIN_S + GREET_AGAIN_S:g} s; check the cable, the address "
-            "('finray rig detect') and that the board runs rigs/lights/firmware"
+            f"{self._name}: sent nothing within {RESET_WITHIN_S + GREET_AGAIN_S:g} s; check the cable and the address "
+            "('finray rig detect'), and that the board runs rigs/lights/firmware"
         )
 
     def _require_version(self, said: Said) -> None:
         major, minor = (int(number) for number in said.version.split("."))
         if major != FIRMWARE[0] or minor < FIRMWARE[1]:
             raise RefusedError(
-                f"{self._name}: runs firmware {said.version}; this version of finray needs {FIRMWARE[0]}.{FIRMWARE[1]} "
-                f"or a later {FIRMWARE[0]}.x, whose dead-man acts within 0.4 s: flash rigs/lights/firmware to the board"
+                f"{self._name}: runs firmware {said.version}, but this version of finray needs "
+                f"{FIRMWARE[0]}.{FIRMWARE[1]} "
+                f"or a later {FIRMWARE[0]}.x, whose dead-man acts within 0.4 s; flash rigs/lights/firmware to the "
+                "board"
             )
 
     def _asked(self, question: str, deadline_s: float, wanted: Word | None = None) -> Said:

@@ -240,8 +240,9 @@ class LiveRig:
                     self._region = self._within(row, column, height, width)
                 case _:
                     raise CaptureError(
-                        f"live view: {str(command)[:80]}: is not understood; the commands are lamp (true or false), "
-                        f"filter ({', '.join(self.filters)}), exposure_s (above 0), region (row, column, height, width)"
+                        f"live view: the command {str(command)[:80]} is not valid; valid commands are lamp (true or "
+                        f"false), filter ({', '.join(self.filters)}), exposure_s (above 0) and region (row, column, "
+                        "height, width)"
                     )
             self._best, self._settings = 0.0, self._settings + 1
 

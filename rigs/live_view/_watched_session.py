@@ -249,8 +249,8 @@ class WatchedSession(SessionWatch):
                 self.end()
             case _:
                 raise CaptureError(
-                    f"live view: {str(command)[:80]}: is not understood; a session takes lamp (false), question and "
-                    "answer, or end (true)"
+                    f"live view: the command {str(command)[:80]} is not valid; a session takes only lamp (false), "
+                    "question and answer, or end (true)"
                 )
 
     def darken(self) -> None:

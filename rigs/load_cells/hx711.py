@@ -76,8 +76,8 @@ class Hx711Cell:
             if match is None or line_crc8(match[1]) != int(match[6], 16):
                 if now_s >= end_s:
                     raise TimedOutError(
-                        f"{self._name}: only damaged lines came for {deadline_s:.2g} s (such as {line[:32]!r}); check "
-                        "its cable, and keep it away from the motors' wires"
+                        f"{self._name}: sent only corrupted data for {deadline_s:.2g} s (such as {line[:32]!r}); "
+                        "check the cable, and keep it away from the motors' wires"
                     )
                 continue  # damaged on the way, or a greeting: the next one comes soon
             counts, status = int(match[4]), int(match[5])
@@ -109,14 +109,15 @@ class Hx711Cell:
                     if match := _BANNER.fullmatch(heard[-1]):
                         if int(match[1]) != FIRMWARE_MAJOR:
                             raise RefusedError(
-                                f"{self._name}: runs firmware {match[1].decode()}.{match[2].decode()}; this version "
-                                f"of finray needs {FIRMWARE_MAJOR}.x: flash rigs/load_cells/firmware to the board"
+                                f"{self._name}: runs firmware {match[1].decode()}.{match[2].decode()}, but this "
+                                f"version of finray needs {FIRMWARE_MAJOR}.x; flash rigs/load_cells/firmware to the "
+                                "board"
                             )
                         return f"{match[1].decode()}.{match[2].decode()}"
         said = f"says {heard[-1][:32]!r}" if heard else "says nothing"
         raise TimedOutError(
-            f"{self._name}: {said} and sends no greeting within {GREET_WITHIN_S:g} s; check the cable, the address "
-            "('finray rig detect') and that the board runs rigs/load_cells/firmware"
+            f"{self._name}: {said}, but sent no greeting within {GREET_WITHIN_S:g} s; check the cable and the address "
+            "('finray rig detect'), and that the board runs rigs/load_cells/firmware"
         )
 
 

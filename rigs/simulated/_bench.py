@@ -480,7 +480,7 @@ def hidden_paint_matrix(paint: HiddenPaint, laser_nm: float, wavelength_nm: Floa
     if (emitted > absorptance + 1e-12).any():
         raise CurveError(
             f"simulated.paint: energy_yield = {paint.energy_yield:g} means that more light is emitted than absorbed "
-            f"(reflectance_at_laser = {paint.reflectance_at_laser:g}); lower one of the two"
+            f"(reflectance_at_laser = {paint.reflectance_at_laser:g}); lower energy_yield or reflectance_at_laser"
         )
     rise = paint.reflectance_long_wavelength - paint.reflectance_at_laser
     return DonaldsonMatrix(
@@ -508,7 +508,7 @@ def _absorption_plateau(paint: HiddenPaint, laser_nm: float, wavelength_nm: Floa
     edge_nm = 0.5 * (paint.absorption_peak_nm + paint.mode_nm)
     if laser_nm > edge_nm:
         raise CurveError(
-            f"simulated.paint: absorbs up to {edge_nm:g} nm only, but the laser has {laser_nm:g} nm; raise "
+            f"simulated.paint: absorbs only up to {edge_nm:g} nm, but the laser is at {laser_nm:g} nm; raise "
             "absorption_peak_nm or mode_nm"
         )
     width_nm = (paint.mode_nm - paint.absorption_peak_nm) / EDGE_STEEPNESS

@@ -401,8 +401,8 @@ class SimulatedFilterWheel:
         """Turn to `slot` by the shorter way, 0.4 s a step."""
         if slot not in self.slots:
             raise RefusedError(
-                f"filter wheel: has no slot {slot}; its slots are {', '.join(map(str, self.slots))}: correct the "
-                "slot numbers of the rig file"
+                f"filter wheel: has no slot {slot}, only {', '.join(map(str, self.slots))}; correct the slot numbers "
+                "in the rig file"
             )
         if not self.state.wheel_in_beam:
             raise CaptureError(
@@ -413,7 +413,7 @@ class SimulatedFilterWheel:
         needed_s = WHEEL_STEP_S * min(steps, len(self.slots) - steps)
         if needed_s > deadline_s:
             raise TimedOutError(
-                f"filter wheel: needs {needed_s:g} s to slot {slot}, but the deadline is {deadline_s:g} s; "
+                f"filter wheel: needs {needed_s:g} s to reach slot {slot}, but the deadline is {deadline_s:g} s; "
                 "allow more time"
             )
         self._asked(lambda: self.state.advance(needed_s))

@@ -238,7 +238,7 @@ class SimulatedStage:
         if not low_mm <= to_mm <= high_mm:
             raise RefusedError(
                 f"stage: {axis} = {to_mm:.3f} mm lies outside its travel of {low_mm:g} to {high_mm:g} mm in the rig "
-                "file; nothing moved: correct the plan, or the travel"
+                "file, so nothing moved; correct the plan, or the travel"
             )
         if not self.is_known:
             raise RefusedError("stage: its position is unknown; home it first")

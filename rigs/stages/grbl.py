@@ -230,13 +230,13 @@ class GrblStage:
             low_mm, high_mm = self._settings.pad_travel_mm
         elif axis != self._settings.press_axis:
             raise RefusedError(
-                f"{self._name}: cannot move {axis}; the rig file has press_axis = {self._settings.press_axis} and "
+                f"{self._name}: has no axis {axis}; the rig file has press_axis = {self._settings.press_axis} and "
                 f"pad_axis = {self._settings.pad_axis}"
             )
         if not low_mm <= to_mm <= high_mm:
             raise RefusedError(
-                f"{self._name}: {axis} = {to_mm:.3f} mm lies outside its travel of {low_mm:g} to {high_mm:g} mm in the "
-                "rig file; nothing moved: correct the plan, or the travel"
+                f"{self._name}: {axis} = {to_mm:.3f} mm lies outside its travel of {low_mm:g} to {high_mm:g} mm in "
+                "the rig file, so nothing moved; correct the plan, or the travel"
             )
         places = self.places_mm()
         if places is None:
@@ -273,7 +273,7 @@ class GrblStage:
                     )
                 if report.state == "Idle" and is_taken and not is_there and now_s - taken_s > START_WITHIN_S:
                     raise WrongPositionError(
-                        f"{self._name}: {axis} stands at {at_mm:.3f} mm, but was sent to {to_mm:.3f} mm; check its "
+                        f"{self._name}: {axis} was sent to {to_mm:.3f} mm, but stands at {at_mm:.3f} mm; check its "
                         "motor"
                     )
                 is_asked = False
@@ -318,8 +318,8 @@ class GrblStage:
                         self._link.drain(quiet_s, time.monotonic() + ANSWER_WITHIN_S)
                         return match[1]
         raise TimedOutError(
-            f"{self._name}: no GRBL controller answers within {within_s:g} s; check the cable, the address "
-            "('finray rig detect') and its power"
+            f"{self._name}: no GRBL controller answered within {within_s:g} s; check the cable, the address ('finray "
+            "rig detect') and its power"
         )
 
     def _read_settings(self) -> dict[int, float]:
@@ -410,8 +410,8 @@ def _in_words(line: str) -> str:
     known = _ALARMS if kind == "ALARM" else _ERRORS
     words = known.get(int(number), "see its documents") if number.isdecimal() else "see its documents"
     if kind == "ALARM":
-        return f"alarm {number}: {words}; its position is unknown now: free it by hand, then home it again"
-    return f"refuses a command with error {number}: {words}"
+        return f"alarm {number} ({words}); the position is unknown now. Free the stage by hand, then home it again"
+    return f"refuses a command with error {number} ({words})"
 
 
 @contextmanager

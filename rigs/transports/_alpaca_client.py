@@ -121,8 +121,8 @@ class AlpacaClient:
         model = str(self._ask("GET", "name", {}, end_s))
         if self._model not in (None, model):
             raise RefusedError(
-                f"{self.name}: '{model}' answers now, but '{self._model}' did before; correct the numbers in "
-                "the address, or restore the server's configuration"
+                f"{self.name}: '{model}' answers now, but '{self._model}' answered before; correct the numbers in the "
+                "address, or restore the server's configuration"
             )
         self._model, self._is_doubtful = model, False
 
@@ -236,8 +236,8 @@ class AlpacaClient:
         status, body = self._ask_server(method, self._path + member, fields, end_s)
         if status != 200:
             raise RefusedError(
-                f"{self.name}: '{member}' is refused with HTTP status {status} ({_start(body)}); check the numbers in "
-                "the address"
+                f"{self.name}: the server rejected '{member}' with HTTP status {status} ({_start(body)}); check the "
+                "device number in the address"
             )
         try:
             answer = json.loads(body)
@@ -260,7 +260,7 @@ class AlpacaClient:
         if error == _NOT_CONNECTED:
             raise LostError(f"{told}; check the device's cable and connect it in its server")
         raise RefusedError(
-            f"{told}; correct the rig file or the plan if the device cannot do this, else repair the device"
+            f"{told}; correct the rig file or the plan if the device cannot do this, otherwise repair the device"
         )
 
     def _ask_server(self, method: str, path: str, fields: str, end_s: float) -> tuple[int, bytes]:

@@ -191,8 +191,8 @@ class IndiDevice:
     def refusal(self, what: str) -> RefusedError:
         """Return the error for an Alert, with what the driver says about it."""
         return RefusedError(
-            f"{self.name}: refuses to {what}{self.said()}; correct the rig file or the plan if the device "
-            "cannot do this, else repair the device"
+            f"{self.name}: refuses to {what}{self.said()}; correct the rig file or the plan if the device cannot do "
+            "this, otherwise repair the device"
         )
 
     def said(self) -> str:
@@ -243,7 +243,7 @@ class IndiDevice:
         for each in gone:
             self.properties.pop(each, None)
         if not name or name == self._needed:
-            raise self.lost(f"the driver withdrew {name or 'the device'}: it crashed, or was disconnected")
+            raise self.lost(f"the driver withdrew {name or 'the device'}, so it crashed or was disconnected")
 
 
 INDI_OPENS_WITHIN_S: Final = 30.0
@@ -393,8 +393,9 @@ class IndiClient(IndiDevice):
         for member, value in values.items():
             if not self._agrees(kind, known.values.get(member, ""), value):
                 raise RefusedError(
-                    f"{self.name}: {name}.{member} = {value} was requested, but it reads back "
-                    f"'{known.values.get(member, '')}'{self.said()}; choose a value that the device can take"
+                    f"{self.name}: {name}.{member} = {value} was requested, but the device reports "
+                    f"'{known.values.get(member, '')}'{self.said()}; "
+                    "choose a value that the device can take"
                 )
         return known
 
@@ -453,7 +454,7 @@ class IndiClient(IndiDevice):
 
     def _unknown_device(self, end_s: float) -> TimedOutError:
         known = ", ".join(f"'{device}'" for device in sorted(devices_at(self._where, end_s)))
-        what = f"the server has no such device, only {known}" if known else "the server does not report this device"
+        what = f"has no such device, only {known}" if known else "does not report this device"
         return TimedOutError(
             f"{self.name}: the server {what}; correct the address, or start indiserver with the driver of the device"
         )

@@ -197,11 +197,13 @@ def blob_bytes(blob: IndiElement, name: str) -> bytes:
             data = unpacking.decompress(data, LARGEST_BLOB_BYTES)
             if not unpacking.eof:
                 raise BadFrameError(
-                    f"{name}: the compressed frame is cut off or larger than {LARGEST_BLOB_BYTES} bytes"
+                    f"{name}: the compressed frame is truncated or larger than {LARGEST_BLOB_BYTES} bytes"
                 )
     except (binascii.Error, ValueError, zlib.error) as error:
         raise BadFrameError(f"{name}: the frame cannot be decoded ({error}); expose again") from error
     stated = blob.attributes.get("size", "")
     if stated and stated != str(len(data)):
-        raise BadFrameError(f"{name}: the frame has {len(data)} bytes, but it states {stated[:20]}; expose again")
+        raise BadFrameError(
+            f"{name}: the frame has {len(data)} bytes, but states a size of {stated[:20]} bytes; expose again"
+        )
     return data

@@ -134,12 +134,12 @@ def require_same_board(name: str, before: str, now: str) -> None:
     """
     if before and not now:
         raise LostError(
-            f"{name}: the serial number of its board cannot be read now (before '{before}'); check its cable, and that "
-            "the address leads to the same board"
+            f"{name}: the serial number of its board cannot be read now (it was '{before}' before); check its cable, "
+            "and that the address leads to the same board"
         )
     if before and now != before:
         raise RefusedError(
-            f"{name}: another board answers now (serial number '{now}', before '{before}'), because the names of ports "
-            "change with a replug; write its link under /dev/serial/by-id/ into the rig file, or plug the boards in "
-            "again in the order that gives each its name"
+            f"{name}: another board answers now (serial number '{now}', but '{before}' before), because the names of "
+            "ports change with a replug. Write the board's link under /dev/serial/by-id/ into the rig file, or plug "
+            "the boards in again in the order that restores their names"
         )

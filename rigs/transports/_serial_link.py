@@ -258,7 +258,7 @@ class SerialLink:
                 self._unread.clear()
                 raise LostError(
                     f"{self._name}: sends more than {LONGEST_ANSWER_BYTES} bytes without {terminator!r} (they begin "
-                    f"with {start!r}); check that this port belongs to the device, and its speed"
+                    f"with {start!r}); check that this port belongs to the device, and that its speed is right"
                 )
             self._receive()
             # A device that drips bytes is late as well as a mute one.
@@ -267,7 +267,7 @@ class SerialLink:
                 heard = f"only {said!r} came" if said else "nothing came"
                 raise TimedOutError(
                     f"{self._name}: did not answer within {max(end_s - began_s, 0.0):.2g} s ({heard}); check its "
-                    "power, the cable and that this port belongs to it"
+                    "power and cable, and that this port belongs to it"
                 )
         end = self._unread.index(terminator) + len(terminator)
         answer = bytes(self._unread[:end])
@@ -313,8 +313,8 @@ class SerialLink:
                 return drained
             if time.monotonic() >= end_s:
                 raise TimedOutError(
-                    f"{self._name}: does not stop sending (such as {drained[:32]!r}); check that this port "
-                    "belongs to the device, and its speed"
+                    f"{self._name}: does not stop sending (such as {drained[:32]!r}); check that this port belongs to "
+                    "the device, and that its speed is right"
                 )
 
     def _receive(self) -> bool:

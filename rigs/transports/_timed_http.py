@@ -308,8 +308,8 @@ class MultipartStream:
             length = headers["content-length"]
             if not (re.fullmatch("[0-9]{1,12}", length) and int(length) <= LONGEST_PART_BYTES):
                 raise BadFrameError(
-                    f"{self._name}: a part states Content-Length {length[:40]!r}; 0 to {LONGEST_PART_BYTES} bytes are "
-                    "allowed"
+                    f"{self._name}: a part states Content-Length {length[:40]!r}, but only 0 to {LONGEST_PART_BYTES} "
+                    "bytes are allowed"
                 )
             while len(self._unread) < int(length):
                 self._read_more()

@@ -162,18 +162,24 @@ def test_a_check_carries_its_conformance_probability():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: ToleranceInterval(None, None), r"give a finite lower limit, a finite upper limit, or both"),
-        (lambda: ToleranceInterval(None, float("nan")), r"\[None, nan\]: give a finite lower limit"),
+        (lambda: ToleranceInterval(None, None), r"every limit must be finite"),
+        (
+            lambda: ToleranceInterval(None, float("nan")),
+            r"\[None, nan\]: at least one limit is needed, and every limit must be finite",
+        ),
         (lambda: ToleranceInterval(2.0, 1.0), r"\[2.0, 1.0\]: the lower limit must not be above the upper limit"),
         (lambda: conformance_probability(0, -1, RESISTORS), r"standard uncertainty -1: must be 0 or more"),
         (lambda: conformance_probability(0, float("nan"), RESISTORS), r"standard uncertainty nan: must be 0 or more"),
-        (lambda: conformance_probability(0, float("inf"), RESISTORS), r"inf: nothing is known, .* measure again"),
+        (
+            lambda: conformance_probability(0, float("inf"), RESISTORS),
+            r"standard uncertainty: is infinite, .* measure again",
+        ),
         (lambda: zone(0, 1, RESISTORS, -0.1), r"guard factor -0.1: must be 0 or more for a rule with three verdicts"),
         (lambda: global_risks_normal(0, 1, 0, RESISTORS), r"uncertainty 0: the support must be a finite interval"),
         (lambda: global_risks(np.exp, (0, np.inf), 1, RESISTORS), r"support \(0, inf\) .* must be a finite interval"),
         (
             lambda: global_risks(stats.norm(0, 1).pdf, (-1, 1), 1, RESISTORS),
-            r"integrates to 0.682689 over \(-1, 1\): .* widen the support or normalise it",
+            r"integrates to 0.682689 over \(-1, 1\), but must integrate to 1; widen the support, or normalise",
         ),
     ],
 )

@@ -128,7 +128,7 @@ def test_rules_that_cannot_be(rate, reference, weight, match):
 def test_series_that_cannot_be_charted():
     rules = chart_rules(0.01, 10)
     for values in (np.ones(9), np.r_[np.arange(10.0), np.nan]):
-        with pytest.raises(FinrayError, match="give at least the 10 of the reference, all finite"):
+        with pytest.raises(FinrayError, match="must have at least 10 values, as the reference has, and only finite"):
             watch(values, rules)
     with pytest.raises(FinrayError, match="have exactly the same value"):
         watch(np.ones(12), rules)

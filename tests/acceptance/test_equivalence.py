@@ -107,7 +107,7 @@ def test_spectra_of_one_coat_are_judged_by_their_draws():
 def test_what_cannot_be_compared(monkeypatch):
     monkeypatch.undo()
     one = [example()]
-    with pytest.raises(FinrayError, match="at least one coat each"):
+    with pytest.raises(FinrayError, match="of at least one coat"):
         tins_are_equivalent(one, [], {"mode_nm": 1.0})
     with pytest.raises(FinrayError, match="no margin"):
         tins_are_equivalent(one, one, {})
@@ -121,5 +121,5 @@ def test_what_cannot_be_compared(monkeypatch):
     with pytest.raises(FinrayError, match="on the same rig"):
         tins_are_equivalent(one, [warm], {"mode_nm": 1.0})
     longer = example().model_copy(update={"wavelength_nm": example().wavelength_nm + 1.0})
-    with pytest.raises(FinrayError, match="is tabulated at other wavelengths"):
+    with pytest.raises(FinrayError, match="is not tabulated at the wavelengths of the other coats"):
         tins_are_equivalent(one, [longer], {"mode_nm": 1.0})

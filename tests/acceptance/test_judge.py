@@ -139,7 +139,7 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"darks": (dark(0.001, 16.0, 16.01, at_zero_fraction=0.2), *GOOD.darks[1:])}, "read noise", "UNDECIDED",
          "20 % of the counts are 0"),
         ({"darks": (GOOD.darks[0], dark(0.5, 16.1, 16.11, at_zero_fraction=0.2), GOOD.darks[2])}, "stray light",
-         "UNDECIDED", "which hide faint light: raise the black level"),
+         "UNDECIDED", "which hide faint light; raise the black level"),
         ({"filter_proof": FilterProof(verdict="contradicted", text="exchanged")}, "filters in their slots", "FAIL",
          "exchanged"),
         ({"filter_proof": FilterProof(verdict="cannot tell", text="dark")}, "filters in their slots", "UNDECIDED",
@@ -160,13 +160,13 @@ def tries(on_s: float, exposure_s: float, share: float = 0.7, share_sd: float = 
         ({"warm_up": slower(60, 0.5)}, "lamp settles", "FAIL", "it still changes by +"),
         # the lens cap is on: a bias of 3 DN above the rig file's black level, which the dark frames have too
         ({"warm_up": {**WARM, "white_dn": (3.0, 3.01) * 20, "dark_before_dn": (19.0, 19.01) * 3,
-          "dark_after_dn": (19.0, 19.01) * 3}}, "lamp settles", "UNDECIDED", "the lamp was too dim: "),
+          "dark_after_dn": (19.0, 19.01) * 3}}, "lamp settles", "UNDECIDED", "the lamp was too dim, only "),
         ({"warm_up": {**WARM, "white_dn": (30.0, 30.1) * 20}}, "lamp settles",
          "UNDECIDED", "DN in 16 readings are needed"),
         ({"warm_up": {**WARM, "white_dn": (1000.0, 1000.1) * 2, "times_s": (0.0, 60.0, 120.0, 180.0)}}, "lamp settles",
          "UNDECIDED", "DN in 8 readings are needed"),
         ({"warm_up": {**WARM, "times_s": tuple(2.5 * k for k in range(40))}}, "lamp settles", "UNDECIDED",
-         "too short to see a slow lamp settle: raise warm_up_s to 120 or more"),
+         "too short to see a slow lamp settle; raise warm_up_s to 120 or more"),
         ({"warm_up": {**WARM, "white_dn": tuple(800.0 + 10.0 * k + 5.0 * (-1) ** k for k in range(40))}},
          "lamp settles", "FAIL", "it still changes by +"),
         ({"warm_up": {**WARM, "white_dn": (1000.0, 1030.0) * 20}}, "lamp settles", "UNDECIDED", "it flickers by"),
@@ -215,7 +215,7 @@ def test_one_fault_changes_one_verdict(rig, changed, name, verdict, evidence):
         also = {"laser off after an exception", "laser off by the guard"}  # nobody proves their controller's word then
     if name == "filters in their slots":  # nobody else tells that the wheel turns
         also = {"wheel arrives", "wheel moves in time", "wheel repeats optically", "picture stays in place"}
-    if name == "lamp settles" and evidence in ("the lamp was too dim: ", "DN in 16 readings are needed"):
+    if name == "lamp settles" and evidence in ("the lamp was too dim, only ", "DN in 16 readings are needed"):
         also = {"dark level stays"}
     of_one = {"wheel repeats optically": {"picture stays in place"}, "lamp settles": {"dark level stays"}}
     missing = of_one.get(name, set()) if None in changed.values() or () in changed.values() else set()

@@ -102,7 +102,8 @@ def test_a_sensor_that_stops_below_full_scale_is_told_from_light_that_changed(
     rig = simulated_rig("red", width_px=320, height_px=256)
     monkeypatch.setattr("rigs._open_rig.FULL_WELL_MARGIN", share)
     with pytest.raises(
-        CaptureError, match=r"counts stop at \d+ DN, below full scale \(1023 DN\): .*check bit_depth, or raise the gain"
+        CaptureError,
+        match=r"counts stop at \d+ DN, below full scale \(1023 DN\)\. .*check bit_depth, or raise the gain",
     ) as told:
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path / "s", "pytest"))
     stops_dn = int(str(told.value).partition("counts stop at ")[2].partition(" ")[0])
@@ -215,8 +216,8 @@ def test_kind_of_a_folder_is_told(captured: Captured, rig: RigFile, tmp_path: Pa
     [
         (None, "no such folder; give the folder that 'finray capture' wrote"),
         ("", "cannot be read as JSON"),
-        ("[]", "holds no record of a known kind, where a capture session or a camera session is needed"),
-        ('{"kind": "BandSignals"}', "holds band signals, where a capture session or a camera session is needed"),
+        ("[]", "contains no record of a known kind, but a capture session or a camera session is needed"),
+        ('{"kind": "BandSignals"}', "contains band signals, but a capture session or a camera session is needed"),
     ],
 )
 def test_folder_of_no_kind_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
@@ -241,7 +242,7 @@ def test_folder_of_no_kind_is_refused(tmp_path: Path, content: str | None, messa
         ),
         (
             {"region": {"row_px": 0, "column_px": 0, "height_px": 60, "width_px": 1}},
-            r"plan\.region\.width_px: 1 px is empty; 2 to 320 px are allowed",
+            r"plan\.region\.width_px: 1 px is too small; 2 to 320 px are allowed",
         ),
     ],
 )
@@ -252,7 +253,7 @@ def test_plan_that_does_not_fit_the_rig(rig: RigFile, fields: dict[str, object],
 
 def test_folder_that_is_not_empty_is_refused(rig: RigFile, tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(CaptureError, match="is not an empty folder; a capture never overwrites"):
+    with pytest.raises(CaptureError, match="is not an empty folder, and a capture never overwrites"):
         capture_camera_session(rig, PLAN, SessionRequest(tmp_path, "finray capture"))
 
 
@@ -262,12 +263,12 @@ def test_light_that_is_too_bright_or_too_dim(rig: RigFile, tmp_path: Path) -> No
 
     with pytest.raises(
         CaptureError,
-        match=r"saturates in 0\.00\d+ s; the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
+        match=r"saturates in 0\.00\d+ s, so the shortest exposure must be at most 0\.00\d+ s, but is 0\.003 s",
     ):
         capture_camera_session(
             with_camera(shortest_exposure_s=0.003), PLAN, SessionRequest(tmp_path / "a", "finray capture")
         )
-    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, but at most 0\.004 s are allowed: brighten"):
+    with pytest.raises(CaptureError, match=r"needs 0\.00\d+ s to saturate, but at most 0\.004 s are allowed; brighten"):
         capture_camera_session(rig, changed(longest_exposure_s=0.004), SessionRequest(tmp_path / "b", "finray capture"))
     with pytest.raises(SaturatedError, match=r"white \(white, lamp\) through filter 532: the region is brighter"):
         capture_camera_session(
@@ -287,7 +288,7 @@ def test_levels_of_three_channels(rig: RigFile) -> None:
     assert np.sum(levels_s < 1.16 * 0.1007) >= 20
     assert levels_s.max() == PLAN.longest_exposure_s
     assert level_notes(saturation_s, PLAN, rig.camera) == (
-        "blue does not saturate within 5 s: use a lamp or filter with more blue light",
+        "blue does not saturate within 5 s; use a lamp or filter with more blue light",
     )
     even = dict.fromkeys(("red", "green", "blue"), 0.02)
     assert len(level_exposures_s(even, PLAN, rig.camera)) == 12
@@ -356,7 +357,7 @@ def test_faults_may_cost_what_the_session_stated(rig: RigFile, tmp_path: Path) -
 
     with open_rig(rig, Path()) as opened:
         broken = replace(opened, camera=Repeating(opened.camera, 100))
-        with pytest.raises(HealingTimeError, match=f"and at most {stated_s:.0f} s are allowed"):
+        with pytest.raises(HealingTimeError, match=f"but at most {stated_s:.0f} s are allowed"):
             capture_camera_with(broken, rig, plan, camera_step(plan, rig), SessionRequest(tmp_path / "out", "pytest"))
     assert len(faults) == 6
 

@@ -294,7 +294,7 @@ def test_readings_that_are_never_fresh_end_the_press(practice: Path, monkeypatch
             "18.0",
             "0.05",
             "touches",
-            "N at the first touch already, so it is not known how much one step of 0.05 mm adds",
+            "N at the first touch, so it is not known how much one step of 0.05 mm adds",
         ),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_cell_that_does_not_feel_the_mass_moves_no_stage(practice: Path, monke
     report, status = checked(practice)
     assert status == 1
     assert (
-        "N of the known mass, which weighs 1.96 N; a stage must not press with such a load cell"
+        "N under the known mass, but the mass weighs 1.96 N, so a stage must not press with this load cell"
         in named(report, "load cell").evidence
     )
     assert "not tried" in named(report, "stage moves").evidence
@@ -115,7 +115,9 @@ def test_with_all_witnesses_only_play_stays_open(practice: Path) -> None:
         # the limit is halfway between the forces, and the pad stiffens a little
         assert 0.2 < abs(moving.end_mm - moving.stood_mm) / moving.way_mm < 0.6, moving
     evidence = named(report, "force stops the stage").evidence
-    assert re.search(r"a reading of [\d.]+ N passed [\d.]+ N, the stage stood [\d.]+ mm before its end", evidence)
+    assert re.search(
+        r"a reading of [\d.]+ N passed [\d.]+ N, the stage stood [\d.]+ mm before the end of the move", evidence
+    )
 
 
 @pytest.mark.parametrize(
@@ -320,7 +322,7 @@ def test_a_block_without_room_is_refused(practice: Path) -> None:
     thick = ALL.replace("60.0", "10.0", 1).replace("thickness_mm = 3.0", "thickness_mm = 5.8")
     changed(practice, "check.toml", ("rest_s = 10.0\n", thick))
     report, _ = checked(practice)
-    assert re.search(r"leaves 0\.(19[5-9]|2|20[0-5]) mm below clear_mm", named(report, "touches").evidence)
+    assert re.search(r"leaves only 0\.(19[5-9]|2|20[0-5]) mm below clear_mm", named(report, "touches").evidence)
 
 
 def test_a_stage_that_creeps_on_after_it_reports_its_stop_fails(practice: Path, monkeypatch) -> None:

@@ -61,9 +61,9 @@ def test_wheel_goes_the_shorter_way_within_its_deadline() -> None:
     wheel = SimulatedFilterWheel(tuple(range(1, 9)), state)
     wheel.go_to(8, 0.5)
     assert wheel.position() == 8
-    with pytest.raises(CaptureError, match=r"needs 1\.6 s to slot 4, but the deadline is 1 s"):
+    with pytest.raises(CaptureError, match=r"needs 1\.6 s to reach slot 4, but the deadline is 1 s"):
         wheel.go_to(4, 1.0)
-    with pytest.raises(CaptureError, match=r"has no slot 9; its slots are 1, 2, 3"):
+    with pytest.raises(CaptureError, match=r"has no slot 9, only 1, 2, 3"):
         wheel.go_to(9, 1.0)
     assert wheel.position() == 8
 

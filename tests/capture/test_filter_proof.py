@@ -138,7 +138,9 @@ def test_wheel_that_counts_and_does_not_turn_is_convicted(
     with open_rig(rig, Path()) as opened:
         opened.wheel.go_to(NAMES.index(stuck) + 1, 20.0)
         broken = replace(opened, wheel=CountingWheel(opened.wheel))
-        with pytest.raises(WrongPositionError, match=f"show filter {stuck} at every slot: the wheel reports new slots"):
+        with pytest.raises(
+            WrongPositionError, match=f"show filter {stuck} at every slot, so the wheel reports new slots"
+        ):
             capture_with(broken, rig, plan, paint_steps(plan, rig), SessionRequest(tmp_path, "finray capture"))
     assert not list(tmp_path.glob("frames/*"))
 
@@ -265,7 +267,7 @@ def test_noise_of_a_camera_that_sees_nothing_convicts_nobody() -> None:
     within = [judge_filters(NAMES, 500.0 * rng.random((8, 3)), predicted, floor=floor) for _ in range(100)]
     assert "contradicted" in without
     assert {proof.verdict for proof in within} == {"cannot tell"}
-    assert "no signal through any filter: brighten the lamp" in within[0].text
+    assert "no signal through any filter; brighten the lamp" in within[0].text
 
 
 def test_dim_filters_are_not_judged_and_named() -> None:

@@ -115,7 +115,7 @@ def test_force_limit_counts_from_the_first_zero_too():
             gauge.follow(force._replace(noise_n=1.0))
         assert abs(gauge.reading_n()) < 0.01
         assert gauge.strongest_n() == pytest.approx(0.98, abs=0.01)
-        with pytest.raises(CaptureError, match="its zero drifts, or the indenter still presses the pad"):
+        with pytest.raises(CaptureError, match="Its zero drifts, or the indenter still presses the pad"):
             gauge.tare()
 
 
@@ -133,7 +133,7 @@ def test_rate_of_the_cell_is_that_of_the_rig_file():
     slow = rig.load_cell.model_copy(update={"rate_hz": 10})
     with open_tactile_rig(rig, Path()) as opened:
         gauge = ForceGauge(opened.load_cell, slow, exact_calibration(rig))
-        with pytest.raises(CaptureError, match="sends 80 readings a second, but rate_hz of the rig file is 10"):
+        with pytest.raises(CaptureError, match="sends 80 readings a second, but rate_hz in the rig file is 10"):
             gauge.begin(opened.clock.monotonic_s)
 
 

@@ -79,7 +79,7 @@ def test_folder_that_is_taken_meanwhile_is_refused(tmp_path: Path, monkeypatch: 
         flock(handle, operation)  # type: ignore[arg-type]
 
     monkeypatch.setattr(journal_module.fcntl, "flock", late)
-    with pytest.raises(CaptureError, match="exists already: another capture writes into this folder"):
+    with pytest.raises(CaptureError, match="exists already, so another capture writes into this folder"):
         Journal(tmp_path, SystemClock())
     assert read_journal(tmp_path) == [{"event": "start"}]
 

@@ -154,7 +154,7 @@ def test_exposures_stay_short_enough_for_the_light_to_go_off(view, rig):
 )  # fmt: skip
 def test_what_pages_may_not_ask(view, command):
     live, _, opened = view
-    with pytest.raises(CaptureError, match="the commands are lamp"):
+    with pytest.raises(CaptureError, match="valid commands are lamp"):
         live.ask(command)
     assert not opened.laser.state()
 

@@ -149,7 +149,7 @@ def test_the_placed_paint_shines_under_the_laser(
 def test_an_unknown_target_is_refused(engine: RunEngine, devices: OphydRig) -> None:
     with pytest.raises(FailedStatus) as raised:
         engine(bps.mv(devices.target, "finger"))
-    assert re.search("'finger' is not known; allowed are white, sample", str(raised.value.__cause__))
+    assert re.search("'finger' is not valid; valid targets are white, sample", str(raised.value.__cause__))
 
 
 def lit(devices: OphydRig, then: Callable[[], Plan]) -> Plan:

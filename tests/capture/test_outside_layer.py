@@ -52,7 +52,7 @@ def test_the_refusal_names_the_way_out() -> None:
         (TEST_VALID_DAYS, None),
         (
             TEST_VALID_DAYS + 1,
-            "is 91 days ago, and at most 90 days are allowed for a class 3R laser; test the interlock again",
+            "is 91 days ago, but at most 90 days are allowed for a class 3R laser; test the interlock again",
         ),
         (-1, "is in the future"),
     ],

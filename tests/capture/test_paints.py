@@ -91,7 +91,7 @@ def test_monochromatic_light_returns_its_column() -> None:
     ("change", "message"),
     [
         ({"absorption_peak_nm": 600.0}, r"absorption_peak_nm = 600 must be below mode_nm = 597 nm"),
-        ({"absorption_peak_nm": 300.0, "mode_nm": 480.0}, r"absorbs up to 390 nm only, but the laser has 450 nm"),
+        ({"absorption_peak_nm": 300.0, "mode_nm": 480.0}, r"absorbs only up to 390 nm, but the laser is at 450 nm"),
         ({"energy_yield": 0.99}, r"energy_yield = 0.99 means that more light is emitted than absorbed"),
     ],
 )

@@ -32,7 +32,7 @@ def test_a_picture_that_is_cut_off_is_refused_at_every_length(tmp_path, suffix):
     content = path.read_bytes()
     for length in range(1, len(content) - 1, 37):
         path.write_bytes(content[:length])
-        with pytest.raises(BadFrameError, match=r"cut off|neither PNG nor JPEG"):
+        with pytest.raises(BadFrameError, match=r"truncated|neither PNG nor JPEG"):
             read_picture(path)
 
 
@@ -42,7 +42,7 @@ def test_every_changed_byte_of_a_png_is_noticed(tmp_path):
     content = path.read_bytes()
     for at in range(0, len(content), 11):
         path.write_bytes(content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :])
-        with pytest.raises(BadFrameError, match=r"damaged|neither PNG nor JPEG"):
+        with pytest.raises(BadFrameError, match=r"corrupted|neither PNG nor JPEG"):
             read_picture(path)
 
 
@@ -60,7 +60,7 @@ def test_a_picture_that_promises_too_many_pixels_is_not_decoded(tmp_path):
     path = tmp_path / "a.png"
     for width, height in ((100_000, 100_000), (2**31 - 1, 2**31 - 1), (0, 5)):
         path.write_bytes(png_of(width, height))
-        with pytest.raises(BadFrameError, match=r"MB when decoded; more than 0 and at most 256 MB are allowed"):
+        with pytest.raises(BadFrameError, match=r"MB when decoded, but must take more than 0 and at most 256 MB"):
             read_picture(path)
     path.write_bytes(png_of(8, 8))
     with pytest.raises(BadFrameError, match="cannot be decoded"):

@@ -43,10 +43,10 @@ def test_named_filters_are_captured_in_the_order_of_the_plan(plan: PaintPlan, ri
         ({"filters": ("450", "451")}, r"no filter '451'; its filters are 405, 450, 500, 532"),
         ({"filters": ()}, r"plan\.filters: is empty"),
         ({"filters": ("500", "600")}, r"excitation_filter: '450' is not among the filters of the plan \(500, 600\)"),
-        ({"excitation_filter": "500"}, r"filter '500' passes 495 to 505 nm and blocks the laser at 450 nm"),
+        ({"excitation_filter": "500"}, r"filter '500' passes 495 to 505 nm, so it blocks the laser at 450 nm"),
         (
             {"region": RegionOfInterest(row_px=0, column_px=0, height_px=0, width_px=10)},
-            r"region\.height_px: 0 px is empty; 2 to 128 px are allowed",
+            r"region\.height_px: 0 px is too small; 2 to 128 px are allowed",
         ),
         (
             {"region": RegionOfInterest(row_px=0, column_px=150, height_px=10, width_px=20)},

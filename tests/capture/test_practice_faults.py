@@ -181,7 +181,7 @@ def test_a_session_that_was_metered_under_a_fault_is_metered_again_after_the_rep
     sources = {name: sha256_of(tmp_path / name) for name in ("plan.toml", "rig.toml")}
     request = SessionRequest(tmp_path / "session", "finray capture", rig_folder=tmp_path, sources=sources)
     if where == "by resuming":
-        with pytest.raises(SignalChangedError, match="find and correct the cause, then continue or resume"):
+        with pytest.raises(SignalChangedError, match="correct the cause, then continue or resume"):
             capture_paint_session(rig, plan, request, mend=mend)
         left = read_interrupted(request.out)
         assert left.doubt

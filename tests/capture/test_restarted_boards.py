@@ -291,7 +291,9 @@ class TestTwoBoardsOfOneKind:
             assert lamp.is_on
             light.close()
             self.swap(tmp_path)
-            with pytest.raises(RefusedError, match=r"lamp: another board answers now .*'L-2', before 'L-1'.*by-id/"):
+            with pytest.raises(
+                RefusedError, match=r"lamp: another board answers now .*'L-2', but 'L-1' before.*by-id/"
+            ):
                 light.same().switch(True, 1.0)
             assert not laser.is_on
             assert b"L1" not in laser.heard
@@ -305,7 +307,7 @@ class TestTwoBoardsOfOneKind:
             link.reopen()
             self.swap(tmp_path)
             for _ in range(2):
-                with pytest.raises(RefusedError, match=r"wheel at .*ttyACM0: another board .*'L-2', before 'L-1'"):
+                with pytest.raises(RefusedError, match=r"wheel at .*ttyACM0: another board .*'L-2', but 'L-1' before"):
                     link.reopen()
                 with pytest.raises(LostError):
                     link.write(b"?", time.monotonic() + 1.0)
@@ -322,7 +324,7 @@ class TestTwoBoardsOfOneKind:
         with closing(board), SerialLink(str(tmp_path / "ttyACM0"), 9600, "wheel") as link:
             with monkeypatch.context() as patch:
                 patch.setattr(list_ports, "comports", lambda *_: [])
-                with pytest.raises(LostError, match=r"wheel at .*: the serial number of its board .*before 'L-1'"):
+                with pytest.raises(LostError, match=r"wheel at .*: the serial number of its board .*was 'L-1' before"):
                     link.reopen()
             link.reopen()
             assert link.board_serial == "L-1"

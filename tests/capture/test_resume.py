@@ -164,7 +164,9 @@ def test_finished_session_is_not_resumed(rig: RigFile, small: PaintPlan, stopped
 
 
 def test_folder_without_a_beginning_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"holds no interrupted session \(journal\.jsonl\); give the folder"):
+    with pytest.raises(
+        CaptureError, match=r"contains no interrupted session \(journal\.jsonl is missing\); give the folder"
+    ):
         read_interrupted(tmp_path)
     (tmp_path / "journal.jsonl").write_text('{"event": "start", "utc": "", "monotonic_s": 0}\n')
     with pytest.raises(
@@ -186,7 +188,9 @@ def test_edited_journal_is_refused(stopped: Path, old: str, new: str) -> None:
     text = (stopped / "journal.jsonl").read_text()
     assert old in text
     (stopped / "journal.jsonl").write_text(text.replace(old, new, 1))
-    with pytest.raises(CaptureError, match=r"journal\.jsonl: holds lines that finray did not write; restore it"):
+    with pytest.raises(
+        CaptureError, match=r"journal\.jsonl: contains lines that finray did not write; restore the file"
+    ):
         read_interrupted(stopped)
 
 
@@ -239,7 +243,7 @@ def test_another_board_of_the_lamp_is_refused(
     monkeypatch.setattr(SimulatedLight, "identity", lambda light: asked(light).model_copy(update=said))
     out = captured_in_part(rig, small, tmp_path / "stopped")
     said["serial"] = "L-2"
-    message = r"laser at .*'L-2' is connected now, .* began with 'L-1': plug the boards in as before, or capture the"
+    message = r"laser at .*'L-2' is connected now, .* began with 'L-1'; plug the boards in as before, or capture the"
     with pytest.raises(CaptureError, match=message):
         resumed(rig, small, out)
     said["serial"] = "L-1"
@@ -257,7 +261,7 @@ def test_session_that_does_not_name_its_camera_goes_on(rig: RigFile, small: Pain
 def test_changed_curve_file_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
     text = (stopped / "journal.jsonl").read_text()
     (stopped / "journal.jsonl").write_text(text.replace('"inputs": {}', '"inputs": {"red.csv": "00"}', 1))
-    with pytest.raises(CaptureError, match=r"red\.csv: changed since the session began"):
+    with pytest.raises(CaptureError, match=r"red\.csv: has changed since the session began"):
         resumed(rig, small, stopped)
 
 

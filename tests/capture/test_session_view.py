@@ -334,7 +334,7 @@ def test_a_repair_is_asked_for_and_the_operator_is_believed():
 )  # fmt: skip
 def test_what_pages_may_not_ask_of_a_session(small, short, command):
     session = watched(small, short)
-    with pytest.raises(CaptureError, match=r"takes lamp|is no longer open"):
+    with pytest.raises(CaptureError, match=r"takes only lamp|is no longer open"):
         session.ask(command)
     assert not session.latest(-1, 0.0)[1].kept_off
 

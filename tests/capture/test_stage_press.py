@@ -160,7 +160,7 @@ def test_force_limit_stops_the_stage_and_it_leaves(practice, monkeypatch):
         ("stuck cell, 30 s", "so it is stuck"),
         ("silent cell, 30 s", "did not answer within 0.5 s"),
         ("drifting cell, 60 mN/s", "can be distinguished from noise and drift"),
-        ("drifting cell, 100 mN/s", "its zero drifts"),
+        ("drifting cell, 100 mN/s", "Its zero drifts, or the indenter"),
     ],
 )
 def test_faults_of_the_cell_stop_the_stage(practice, fault, words):
@@ -190,7 +190,7 @@ def test_lost_steps_are_seen_at_the_next_touch(practice):
     changed(practice, "rig-presses.toml", ("led_current_ma", "repeats = 3\nled_current_ma"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "the stage lost steps, or the finger moved" in outcome.err
+    assert "The stage lost steps, or the finger moved" in outcome.err
 
 
 def test_resumed_session_presses_what_is_missing_only(practice):
@@ -236,7 +236,7 @@ def test_plans_with_forces_need_a_cell(practice, tmp_path):
     (tmp_path / "by-hand.toml").write_text(text, encoding="utf-8")
     outcome = finray(f"capture {practice}/rig-presses.toml --rig {tmp_path}/by-hand.toml --dry-run")
     assert outcome.status == 2
-    assert "plan.presses (entry 2): names a force, but the rig has no stage" in outcome.err
+    assert "plan.presses (entry 2): gives a force, but the rig has no stage" in outcome.err
 
 
 @pytest.mark.parametrize(
@@ -583,7 +583,7 @@ def test_calibration_of_another_cell_is_refused_or_told(practice):
     write_record(record.model_copy(update={"cell": "bench, hx711 /dev/ttyACM0"}), path, provenance("pytest"))
     outcome = session(practice)
     assert outcome.status == 2
-    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', but load_cell.driver of the rig file is" in outcome.err
+    assert "is the calibration of 'bench, hx711 /dev/ttyACM0', but load_cell.driver in the rig file is" in outcome.err
     assert "is the calibration of" in finray(f"rig show {practice}/rig.toml").out
     path.unlink()
     write_record(record.model_copy(update={"cell": "bench, simulated elsewhere"}), path, provenance("pytest"))

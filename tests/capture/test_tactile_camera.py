@@ -105,8 +105,8 @@ def test_frame_of_another_size_is_taken_again_and_refused_at_last():
 @pytest.mark.parametrize(
     ("delivered", "message"),
     [
-        (frame(exposure_s=0.02), r"0\.01 s were requested, but the camera reads back 0\.02 s"),
-        (frame(settings={"pixel_format": "Mono16"}), "delivers Mono16, and a tactile capture needs colours"),
+        (frame(exposure_s=0.02), r"an exposure of 0\.01 s was requested, but the camera reads back 0\.02 s"),
+        (frame(settings={"pixel_format": "Mono16"}), "delivers Mono16, but a tactile capture needs colours"),
         (frame(1024), r"a count of 1024 DN.*bit_depth = 10 allows \(1023 DN\)"),
     ],
     ids=["exposure", "no colours", "bits"],

@@ -31,7 +31,7 @@ def test_poses_of_a_stage_are_read(tmp_path):
     ("content", "message"),
     [
         (None, "no such file"),
-        ("depth_mm\n", "holds 0 poses"),
+        ("depth_mm\n", "contains 0 poses"),
         ("depth_mm,position_mm\n1\n", "line 2: has 1 columns, but the header has 2"),
         ("depth_mm,position_mm\n1,2,3\n", "line 2: has 3 columns, but the header has 2"),
         ("depth_mm,position_mm\n1,2\n", "line 2: 'depth_uncertainty_mm': is missing"),
@@ -84,8 +84,12 @@ def test_rig_of_the_simulated_bench_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[0.01]", "[40.0]", r"exposures_s: 40 s is out of range; the rig allows 0\.0001 to 30 s"),
-        ("exposures_s = [0.01]", "bracket_powers = [0, 5]", r"none of its exposures is within 0\.0001 to 30 s"),
+        ("[0.01]", "[40.0]", r"exposures_s: 40 s is outside the rig's range of 0\.0001 to 30 s"),
+        (
+            "exposures_s = [0.01]",
+            "bracket_powers = [0, 5]",
+            r"none of the exposures is within the rig's range of 0\.0001 to 30 s",
+        ),
     ],
 )
 def test_exposures_out_of_range_are_refused(tmp_path, old, new, message):

@@ -128,7 +128,8 @@ def test_replay_is_not_resumed(sensor, tmp_path):
     text = journal.read_text(encoding="utf-8").replace('"driver": "picamera2"', '"driver": "folder"')
     journal.write_text(text, encoding="utf-8")
     with pytest.raises(
-        CaptureError, match="replays a folder of images, and a replay would begin again with the first image"
+        CaptureError,
+        match="replays a folder of images, so it cannot be resumed, because a replay would begin again",
     ):
         read_interrupted_presses(tmp_path / "out")
 

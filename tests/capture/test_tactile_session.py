@@ -103,7 +103,7 @@ def test_saturated_press_is_given_at_its_shortest_exposure(sensor, tmp_path):
     session = capture(tmp_path, plan_of(tmp_path, text), rig_of(tmp_path), pressing(sensor))
     assert read_record(tmp_path / "out" / "press-001.json", TactileCapture).exposure_s == pytest.approx(0.04, rel=1e-3)
     # The contact is 33 x 49 of 64 x 96 px.
-    assert "contact 1: 26.3 % of an image is clipped at the shortest exposure" in session.notes[0]
+    assert "contact 1: 26.3 % of an image is clipped even at the shortest exposure" in session.notes[0]
 
 
 def test_board_comes_first_and_presses_are_repeated(sensor, tmp_path):
@@ -185,7 +185,7 @@ def test_bracket_over_mjpeg_is_refused(tmp_path):
     plan = plan_of(tmp_path, PLAN.replace("[0.01]", "[0.01, 0.02]"))
     with (
         serving(stream_of(*(jpeg(n) for n in range(240)))) as address,
-        pytest.raises(RefusedError, match=r"does not report its exposure time.*give one exposure"),
+        pytest.raises(RefusedError, match=r"does not report its exposure time.*give only one exposure"),
     ):
         capture(tmp_path, plan, mjpeg_rig(tmp_path, address, 320, 240), Hands())
 

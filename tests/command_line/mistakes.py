@@ -138,7 +138,7 @@ CASES = (
     ),
     Case("folder for a rig", "rig show {lab}", r": is a folder; give the path of a rig file \(TOML\)"),
     Case("folder for a finger", "simulate press {lab}", r": is a folder; give the path of a finger design \(TOML\)"),
-    Case("no session to resume", "capture --resume {tmp}", r"holds no interrupted session .*; give the folder"),
+    Case("no session to resume", "capture --resume {tmp}", r"contains no interrupted session .*; give the folder"),
     Case("file for band images", "import bands {lab}/rig.toml", r"rig\.toml: is a file; give the folder of the images"),
     Case("half a record", "fit {tmp}/half.json", r"edited or cut off, so restore it", file("half.json", "{")),
     Case("list for a record", "fit {tmp}/list.json", r"list\.json: .*; give a record that", file("list.json", "[]")),
@@ -187,13 +187,13 @@ CASES = (
     Case(
         "excitation filter that blocks the laser",
         BAD_PLAN,
-        r"plan\.toml: .*filter '500' passes 495 to 505 nm and blocks the laser at 450 nm; name the filter that passes",
+        r"plan\.toml: .*filter '500' passes 495 to 505 nm, so it blocks the laser at 450 nm; name the filter that",
         edited("plan.toml", 'excitation_filter = "450"', 'excitation_filter = "500"'),
     ),
     Case(
         "empty region",
         BAD_PLAN,
-        r"plan\.toml: plan\.region\.height_px: 0 px is empty; 2 to 256 px are allowed",
+        r"plan\.toml: plan\.region\.height_px: 0 px is too small; 2 to 256 px are allowed",
         edited("plan.toml", "height_px = 56", "height_px = 0"),
     ),
     Case(
@@ -281,7 +281,9 @@ CASES = (
     # session
     Case("no session folder", "radiometry {tmp}/session", r"session: no such folder; give the folder that 'finray cap"),
     Case(
-        "folder that is no session", "radiometry {lab}", r"holds no capture session \(session\.json\); give the folder"
+        "folder that is no session",
+        "radiometry {lab}",
+        r"contains no capture session \(session\.json is missing\); give the folder",
     ),
     Case(
         "session not finished",
@@ -390,7 +392,7 @@ CASES = (
     Case(
         "paint without a name",
         BAD_PLAN,
-        r"plan\.toml: plan\.paint_name: is empty; write a name, which files and records will carry",
+        r"plan\.toml: plan\.paint_name: is empty; give a name, which files and records will carry",
         edited("plan.toml", 'paint_name = "red"', 'paint_name = " "'),
     ),
     Case(
@@ -444,7 +446,7 @@ CASES = (
     Case(
         "frames of what is no session",
         "export ome-tiff {lab} --out {tmp}/a.ome.tiff",
-        r"holds no capture session \(session\.json\); give the folder that 'finray capture' wrote",
+        r"contains no capture session \(session\.json is missing\); give the folder that 'finray capture' wrote",
     ),
     Case(
         "frames as a plain picture",

@@ -63,7 +63,7 @@ def test_capture_that_is_too_bright_says_what_to_do(places: dict[str, Path]) -> 
     outcome = finray("capture {lab}/plan.toml --rig {tmp}/rig.toml --out {tmp}/session".format(**places))
     assert outcome.status == 2
     assert re.search(
-        r"through filter \d+: the region is brighter than 70 % .* allows 0\.1 to 25\.6 s: dim", outcome.err
+        r"through filter \d+: the region is brighter than 70 % .* allows 0\.1 to 25\.6 s\); dim", outcome.err
     )
     again = finray("radiometry {tmp}/session".format(**places))
     assert re.search(r"was not finished .* the last line of journal\.jsonl says why", again.err)

@@ -109,7 +109,7 @@ def test_resume_takes_everything_from_the_session(lab: Path, tmp_path: Path) -> 
     assert "is finished already" in finished
     assert "continue with" not in finished
     assert "--resume and --dry-run cannot be combined" in mistake(f"capture --resume {tmp_path} --dry-run")
-    assert "holds no interrupted session (journal.jsonl)" in mistake(f"capture --resume {tmp_path}")
+    assert "contains no interrupted session (journal.jsonl is missing)" in mistake(f"capture --resume {tmp_path}")
     assert "PLAN or --rig is missing; give both" in mistake(f"capture {lab}/plan.toml")
 
 

@@ -104,7 +104,7 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
         (
             "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.json "
             "--other-mesh {lab}/p.mechanics.json",
-            "p.mechanics.json: power law, push of 2 mm: is on the coarse mesh too",
+            "p.mechanics.json: power law, push of 2 mm: is also on the coarse mesh",
         ),
         (
             "simulate render {lab}/finger.toml --sensitivities",

@@ -115,7 +115,10 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         ),
         ("--pad {0}/blank.png --square-u-mm 0.003 " + BOARD, "blank.png: 0 of the 24 corners of the board"),
         ("--pad {0}/black.png --square-u-mm 0.003 " + BOARD, "black.png: every pixel has the same value"),
-        ("--pad {0}/words.png --square-u-mm 0.003 " + BOARD, "words.png: is neither PNG nor JPEG; give a picture"),
+        (
+            "--pad {0}/words.png --square-u-mm 0.003 " + BOARD,
+            "words.png: is neither PNG nor JPEG; give a PNG or JPEG picture",
+        ),
         ("--pad {0}/none.png --square-u-mm 0.003 " + BOARD, "none.png: no such file; give the path of an image"),
         ("--pad {0}/small.png --square-u-mm 0.003 " + BOARD, r"have different sizes .*\[\(100, 640\), \(480, 640\)\]"),
     ],

@@ -251,7 +251,7 @@ def test_show_puts_each_error_beside_its_device(tmp_path: Path) -> None:
     assert "ERROR: laser at" in parts[f"laser: arduino at {tmp_path}/no-laser"]
     assert "switched by hand, and this command does not ask" in parts["lamp: manual"]
     assert "ERROR: filter wheel at" in parts[f"filter wheel: thorlabs at {tmp_path}/no-wheel"]
-    assert "there is no producer" in parts["camera: gentl at nowhere.cti"]
+    assert "does not exist" in parts["camera: gentl at nowhere.cti"]
     assert " 660 " in parts["filters and curves"]
     assert "laser: arduino at" in outcome.err
 

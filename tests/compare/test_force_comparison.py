@@ -260,10 +260,20 @@ def test_noise_is_taken_out_of_a_size():
 @pytest.mark.parametrize(
     ("displacement_mm", "force_n", "fit", "message"),
     [
-        ([0.5, 1.0, 1.5], [1.0, 2.0, 3.0], True, "has 3 points; a comparison needs 5 or more"),
-        ([1, 2, 3, 4, 5], [-1, -2, -3, -4, -5], True, "pushing counts positive: change its sign"),
-        ([100, 500, 1000, 1500, 1900], [0.1, 1, 2, 3, 4], True, "largest displacement is 1.9e.03 mm, .* another unit"),
-        ([0.1, 0.5, 1.0, 1.5, 1.9], [100, 500, 1600, 2900, 4200], True, "largest force is 4.2e.03 N, .* another unit"),
+        ([0.5, 1.0, 1.5], [1.0, 2.0, 3.0], True, "has only 3 points, but a comparison needs 5 or more"),
+        ([1, 2, 3, 4, 5], [-1, -2, -3, -4, -5], True, "pushing must count as positive; change the sign"),
+        (
+            [100, 500, 1000, 1500, 1900],
+            [0.1, 1, 2, 3, 4],
+            True,
+            "largest displacement is 1.9e.03 mm, .* the unit may be wrong",
+        ),
+        (
+            [0.1, 0.5, 1.0, 1.5, 1.9],
+            [100, 500, 1600, 2900, 4200],
+            True,
+            "largest force is 4.2e.03 N, .* the unit may be wrong",
+        ),
         ([0.1, 0.5, 1.0, 1.5, 2.5], [0.1, 1, 2, 3, 4], False, r"reaches 2\.5 mm or more .* reaches only 2\.1 mm"),
         (LATE_MM, force_at(LATE_MM + 0.5), True, "reaches 2.1 mm or more from first touch"),
         ([0.0, 4.8, 4.9, 4.95, 5.0], [0.0, 10, 11, 11.5, 12], True, r"reaches only 2\.1 mm"),
@@ -280,7 +290,7 @@ def test_measurements_that_cannot_be_compared(displacement_mm, force_n, fit, mes
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"preset": "coarse"}, "is on the coarse mesh too"),
+        ({"preset": "coarse"}, "is also on the coarse mesh"),
         (
             {"preset": "medium", "design": power_law_press().design.model_copy(update={"name": "x"})},
             "of another design",
@@ -303,7 +313,7 @@ def test_a_force_in_its_noise_is_refused(rng):
 def test_curves_that_are_none():
     with pytest.raises(CompareError, match=r"1 increment\(s\), too few for a curve; simulate with --increments 4"):
         ForceCurve("press", np.array([1.0]), np.array([1.0]))
-    with pytest.raises(CompareError, match="pushes must be above 0 mm and increase, and all forces must be above 0 N"):
+    with pytest.raises(CompareError, match="depths must be above 0 mm and increase, and all forces must be above 0 N"):
         ForceCurve("press", np.array([1.0, 2.0]), np.array([1.0, -1.0]))
 
 

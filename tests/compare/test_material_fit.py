@@ -131,10 +131,14 @@ def test_a_finger_alone_cannot_tell_its_gel_from_its_skeleton():
 def test_bad_curves_and_blocks_are_refused(models):
     rng = np.random.default_rng(7)
     good = measured(rng, C10_MPA, BULK, "lubricated")
-    with pytest.raises(CompareError, match="1 curves and 2 specimens: give one specimen for each curve"):
+    with pytest.raises(
+        CompareError, match="1 curves and 2 specimens; give at least one curve, and one specimen for each curve"
+    ):
         fit_material([good], [models["lubricated"]] * 2, rng)
     far = MeasuredForce("far.csv", good.displacement_mm + 10.0, good.force_n)
-    with pytest.raises(CompareError, match=r"far\.csv: its displacements begin at 10\.\d+ mm .* count them from near"):
+    with pytest.raises(
+        CompareError, match=r"far\.csv: the displacements begin at 10\.\d+ mm .* count displacements from near"
+    ):
         fit_material([far], [models["lubricated"]], rng)
     with pytest.raises(
         SimulateError, match="pushes of a bonded block 10 mm high must increase, be above 0 and at most"
@@ -147,7 +151,7 @@ def test_bad_curves_and_blocks_are_refused(models):
     without = press(0.13, np.linspace(0.25, 2.0, 4)).model_copy(update={"slopes": ()})
     with pytest.raises(
         CompareError,
-        match=r"by mechanics\.gel\.c10_mpa is not available for this press: the finger is about to snap, or",
+        match=r"by mechanics\.gel\.c10_mpa is not available for this press, because the finger is about to snap, or",
     ):
         ForceModel.of_finger("f", FingerDesign(), [(0.13, without)], [(20.0, without)], 0.1)
 

@@ -80,5 +80,5 @@ def test_a_missing_file_and_too_few_points(tmp_path):
         read_force_csv(tmp_path / "none.csv")
     path = tmp_path / "bench.csv"
     path.write_text(csv(rows=ROWS[:3]))
-    with pytest.raises(CompareError, match="has 3 points"):
+    with pytest.raises(CompareError, match="has only 3 points"):
         read_force_csv(path)

@@ -197,7 +197,7 @@ def spoil(folder, kind):
     [
         ("auto exposure", r"contact.dng: auto exposure was on"),
         ("auto white balance", r"no_contact.dng: auto white balance was on"),
-        ("exposure changed", r"ExposureTime differs: 0.01 s in contact.dng, 0.02 s in no_contact.dng"),
+        ("exposure changed", r"ExposureTime is 0.01 s in contact.dng, but 0.02 s in no_contact.dng"),
         ("no metadata", r"contact.dng: the metadata file contact.json is missing"),
         ("metadata broken", r"contact.json: cannot be read as JSON"),
         ("metadata too deep", r"contact.json: cannot be read as JSON"),
@@ -209,7 +209,7 @@ def spoil(folder, kind):
         ("press incomplete", r"press.toml: 'indenter.radius_mm': is missing"),
         ("mixed", r"contains both raw and processed images"),
         ("sizes differ", r"differ in Bayer order, bits or size"),
-        ("no raw page", r"holds no colour filter array \(Bayer\) image"),
+        ("no raw page", r"contains no colour filter array \(Bayer\) image"),
         ("not a DNG", r"cannot be read as DNG .*; check that the file is complete"),
         ("odd pattern", r"Bayer pattern \[0, 0, 1, 2\] of an image .* is not supported"),
         ("odd white level", r"white level of 1000 DN is not supported; it must be 2\^bits - 1"),
@@ -251,7 +251,9 @@ def test_tiffs_that_are_no_bayer_counts_are_refused(raw_folder):
     (raw_folder / "contact.dng").unlink()
     options = RaspberryPiOptions(bayer_order="RGGB", bit_depth=10)
     tifffile.imwrite(raw_folder / "contact.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
-    with pytest.raises(ImportFormatError, match=r"contact.tif: is uint8 of shape \(8, 8, 3\); raw Bayer counts are"):
+    with pytest.raises(
+        ImportFormatError, match=r"contact.tif: is uint8 of shape \(8, 8, 3\), but raw Bayer counts must be"
+    ):
         raspberry_pi_capture(raw_folder, options)
     (raw_folder / "contact.tif").write_bytes(b"no image")
     with pytest.raises(ImportFormatError, match=r"contact.tif: cannot be read as TIFF"):
@@ -266,5 +268,5 @@ def test_tuning_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ImportFormatError, match=r"imx219.json: cannot be read as JSON"):
         read_tuning(path)
     path.write_text("{}")
-    with pytest.raises(ImportFormatError, match=r"imx219.json: tuning: holds no 'rpi.' algorithm"):
+    with pytest.raises(ImportFormatError, match=r"imx219.json: tuning: contains no 'rpi.' algorithm"):
         read_tuning(path)

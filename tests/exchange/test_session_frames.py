@@ -562,8 +562,8 @@ def test_the_verb_writes_and_tells(folder: Path, tmp_path: Path, name: str) -> N
     ("words", "message"),
     [
         ("export ome-tiff {t}/none --out {t}/a.ome.tiff", "none: no such folder"),
-        ("export nexus {t} --out {t}/a.nxs", "holds no capture session"),
-        ("export nexus {t}/begun --out {t}/a.nxs", "the capture was not finished.*continue with"),
+        ("export nexus {t} --out {t}/a.nxs", "contains no capture session"),
+        ("export nexus {t}/begun --out {t}/a.nxs", "the capture was not finished.*Continue with"),
         ("export bluesky {t}/lost --out {t}/a.jsonl", "1 of 82 frames of the session are missing.*finray verify"),
         ("export ome-tiff {f} --out {t}/a.tiff", r"must end in \.ome\.tiff or \.ome\.tif"),
         ("export ome-tiff", "ome-tiff needs exactly one session"),

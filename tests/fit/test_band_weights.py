@@ -86,15 +86,15 @@ def test_rows_are_band_major_and_the_laser_is_found(weights):
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"wavelength_nm": GRID[::-1]}, CurveError, "increasing wavelengths"),
-        ({"lamp": np.ones(7)}, CurveError, "lamp: shape"),
+        ({"wavelength_nm": GRID[::-1]}, CurveError, "wavelengths in nm, in increasing order"),
+        ({"lamp": np.ones(7)}, CurveError, "lamp: has shape"),
         ({"white_reflectance": np.full(401, -0.1)}, CurveError, "negative or not finite"),
         ({"laser": np.full(401, np.nan)}, CurveError, "negative or not finite"),
-        ({"laser": np.zeros(401)}, CurveError, "laser: area is zero"),
+        ({"laser": np.zeros(401)}, CurveError, "laser: the area under the curve is zero"),
         ({"lamp": np.zeros(401)}, FitError, "white signal of band 0, channel 0 is zero"),
-        ({"filters": FilterSet(np.ones((8, 401)), 8)}, FitError, "there are bands 0 to 7"),
-        ({"channel_weights": (1.0, 1.0, 1.0)}, FitError, "sum is 3, but must be 1"),
-        ({"channel_weights": (0.5, 0.5)}, CurveError, "channel_weights: shape"),
+        ({"filters": FilterSet(np.ones((8, 401)), 8)}, FitError, "valid bands are 0 to 7"),
+        ({"channel_weights": (1.0, 1.0, 1.0)}, FitError, "the weights sum to 3, but must sum to 1"),
+        ({"channel_weights": (0.5, 0.5)}, CurveError, "channel_weights: has shape"),
     ],
 )
 def test_unusable_curves_are_refused(rig, change, error, message):

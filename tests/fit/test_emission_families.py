@@ -168,7 +168,7 @@ def test_every_family_has_the_common_parameters_first_and_curves_of_many_rows():
 
 
 def test_unknown_family_is_refused_with_the_known_ones():
-    with pytest.raises(FitError, match="'cauchy' is unknown; the families are zheng2014, skew_t"):
+    with pytest.raises(FitError, match="'cauchy' is unknown; valid families are zheng2014, skew_t"):
         family_named("cauchy")
 
 

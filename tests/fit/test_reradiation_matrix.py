@@ -199,5 +199,5 @@ def test_reflectance_held_beyond_its_range_is_half_unknown(bell):
 def test_draws_must_be_paired(bell):
     grid, emission = bell
     paint = absorption(np.array([405.0, LASER_NM]), np.ones((2, 2)))
-    with pytest.raises(CurveError, match="pair them one to one"):
+    with pytest.raises(CurveError, match="pair emission and absorption draws one to one"):
         reradiation_matrix(emission[None], grid, paint, flat_reflectance(0.5), "bell")

@@ -84,7 +84,7 @@ def test_functions_broadcast_over_many_curves():
 
 
 def test_skewness_beyond_the_tables_is_refused():
-    with pytest.raises(CurveError, match="allowed is at most 8"):
+    with pytest.raises(CurveError, match="but at most 8 is allowed"):
         shape_tables(KAPPA_LIMIT + 0.1)
 
 

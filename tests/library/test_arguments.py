@@ -196,7 +196,7 @@ def test_a_file_that_cannot_be_written_is_told_in_words(home):
 
 
 def test_a_folder_that_a_session_has_is_told_by_its_argument(lab):
-    with pytest.raises(CaptureError, match="a capture never overwrites: choose another out"):
+    with pytest.raises(CaptureError, match="a capture never overwrites files; choose another out"):
         finray.capture_session(lab / "plan.toml", lab / "rig.toml", lab / "session")
 
 

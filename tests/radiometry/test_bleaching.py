@@ -104,7 +104,7 @@ def test_repeat_that_says_nothing_is_ignored(case):
 def test_a_repeat_that_no_fading_explains_is_refused(change, message):
     other = [("fluorescence repeat", "600", EMISSION * change)]
     synthetic = synthetic_session(np.random.default_rng(4), extra=other)
-    with pytest.raises(RadiometryError, match=rf"filter 600 and its own repeat disagree: .*{message}.*--accept-repeat"):
+    with pytest.raises(RadiometryError, match=rf"filter 600 and its repeat disagree: .*{message}.*--accept-repeat"):
         band_signals(synthetic.session, synthetic.read)
     steps = session_steps(synthetic.session, synthetic.read)
     assert bands_of_steps(synthetic.session, steps, accept_repeat=True).bleaching is not None

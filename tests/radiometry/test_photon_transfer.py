@@ -356,29 +356,31 @@ def test_intervals_of_estimates() -> None:
 
 def test_frames_of_unequal_size_are_refused() -> None:
     with pytest.raises(
-        RadiometryError, match=r"test frames: frame 2 has 8 x 6 px, those before have 8 x 8 px; frames of"
+        RadiometryError, match=r"test frames: frame 2 has 8 x 6 px, but the frames before it have 8 x 8 px; capture"
     ):
         stack_of(np.ones((8, 8)), np.ones((8, 6)))
 
 
 def test_nan_is_refused() -> None:
-    with pytest.raises(RadiometryError, match=r"test frames: frame 1 holds NaN or infinite counts"):
+    with pytest.raises(RadiometryError, match=r"test frames: frame 1 contains NaN or infinite counts"):
         stack_of(np.full((8, 8), np.nan), np.ones((8, 8)))
 
 
 def test_single_frame_is_refused() -> None:
-    with pytest.raises(RadiometryError, match=r"test frames: 1 frame, but at least 2 of the same exposure"):
+    with pytest.raises(RadiometryError, match=r"test frames: has 1 frame, but at least 2 frames of the same exposure"):
         stack_of(np.ones((8, 8)))
 
 
 def test_region_without_second_differences_is_refused() -> None:
-    with pytest.raises(RadiometryError, match=r"the region has 2 x 9 px; 3 rows and columns of every channel"):
+    with pytest.raises(RadiometryError, match=r"the region has 2 x 9 px, but 3 rows and columns of every channel"):
         stack_of(np.ones((2, 9)), np.ones((2, 9)))
 
 
 def test_equal_frames_are_refused() -> None:
     frame = np.arange(64.0).reshape(8, 8)
-    with pytest.raises(RadiometryError, match=r"mono: the frames of 3 of 3 exposures are equal \(variance 0 DN\^2\)"):
+    with pytest.raises(
+        RadiometryError, match=r"mono: the frames of 3 of 3 exposures are identical \(variance 0 DN\^2\)"
+    ):
         photon_transfer([stack_of(k * frame, k * frame) for k in (1, 2, 3)], 0.0, "mono")
 
 

@@ -171,11 +171,11 @@ class TestOpening:
     @pytest.mark.parametrize(
         ("answer", "error", "match"),
         [
-            (b"LASER 2.0\n", RefusedError, r"runs firmware 2\.0; .* needs 1\.2 or a later 1\.x.*: flash"),
-            (b"LASER 1.1\n", RefusedError, r"runs firmware 1\.1; .* whose dead-man acts within 0\.4 s: flash"),
+            (b"LASER 2.0\n", RefusedError, r"runs firmware 2\.0, but .* needs 1\.2 or a later 1\.x.*; flash"),
+            (b"LASER 1.1\n", RefusedError, r"runs firmware 1\.1, but .* whose dead-man acts within 0\.4 s; flash"),
             (b"ERR\n", RefusedError, r"sends b'ERR\\n', but does not state its firmware; flash"),
             (b"Command error CMD_NOT_DEFINED\n", RefusedError, "or correct the address"),
-            (b"", TimedOutError, "nothing came within .* s; check the cable"),
+            (b"", TimedOutError, "sent nothing within .* s; check the cable"),
         ],
     )
     def test_something_else_answers(self, answer, error, match, monkeypatch):

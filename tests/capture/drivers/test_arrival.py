@@ -23,7 +23,7 @@ def test_a_wheel_that_rests_elsewhere_is_found_out() -> None:
     arrival = Arrival("wheel", 5, ELSEWHERE_S)
     assert not arrival.sees(3)
     time.sleep(1.2 * ELSEWHERE_S)
-    with pytest.raises(WrongPositionError, match="was sent to slot 5 and stopped at slot 3"):
+    with pytest.raises(WrongPositionError, match="was sent to slot 5, but stopped at slot 3"):
         arrival.sees(3)
 
 

@@ -347,7 +347,7 @@ def test_two_packages_of_one_name_are_refused_and_no_other_driver_is(site: Path)
 def test_a_driver_that_is_not_installed_is_refused_before_anything_opens(site: Path, tmp_path: Path) -> None:
     install(site, "bench-devices", {CAMERAS: {"bench": "bench_camera"}}, bench_camera=BENCH_CAMERA)
     rig = read_toml(real_rig(tmp_path, wheel_of("grlb", "/dev/ttyUSB0")), RigFile)
-    known = r"there are alpaca, indi, manual, simulated, thorlabs: change the key driver in the rig file, or install"
+    known = r"valid drivers are alpaca, indi, manual, simulated, thorlabs. Change the key driver in the rig file"
     with (
         pytest.raises(RefusedError, match=rf"filter wheel: no driver 'grlb' is installed; {known}"),
         open_rig(rig, tmp_path),

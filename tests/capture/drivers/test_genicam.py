@@ -106,13 +106,16 @@ def test_everything_automatic_is_off_and_recorded() -> None:
 @pytest.mark.parametrize(
     ("kept", "message"),
     [
-        ("PixelFormat", "PixelFormat was set to BayerRG16 and reads back BayerRG8"),
-        ("ExposureAuto", "ExposureAuto was set to Off and reads back Continuous"),
-        ("GammaEnable", "GammaEnable cannot be switched off here, and it changes raw counts"),
-        ("Gamma", r"Gamma was set to 1 and reads back 2\.2; gamma is fixed at 1"),
-        ("OffsetX", "OffsetX was set to 0 and reads back 8"),
-        ("Width", "Width was set to 64 and reads back 32; correct width_px"),
-        ("Gain", "Gain was set to 3 and reads back 0; correct gain_db"),
+        ("PixelFormat", "PixelFormat was set to BayerRG16, but reads back BayerRG8"),
+        ("ExposureAuto", "ExposureAuto was set to Off, but reads back Continuous"),
+        (
+            "GammaEnable",
+            "GammaEnable changes raw counts or limits the exposure, but finray cannot switch GammaEnable off",
+        ),
+        ("Gamma", r"Gamma was set to 1, but reads back 2\.2; gamma must be 1"),
+        ("OffsetX", "OffsetX was set to 0, but reads back 8"),
+        ("Width", "Width was set to 64, but reads back 32; correct width_px"),
+        ("Gain", "Gain was set to 3, but reads back 0; correct gain_db"),
     ],
 )
 def test_setting_that_is_kept_silently_is_refused(kept: str, message: str) -> None:
@@ -130,7 +133,7 @@ def test_mirroring_trigger_and_white_balance_are_undone() -> None:
     camera = nodes("BalanceRatio")
     camera.values |= {"BalanceRatioSelector": "Red", "BalanceRatio": 1.7}
     with pytest.raises(
-        RefusedError, match=r"BalanceRatio was set to 1 and reads back 1\.7; white balance .Red. changes"
+        RefusedError, match=r"BalanceRatio was set to 1, but reads back 1\.7; white balance .Red. must be off"
     ):
         configure(camera, SETTINGS, "camera")
 
@@ -143,7 +146,7 @@ def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
 
 def test_exposure_that_is_kept_silently_is_refused() -> None:
     assert set_exposure(nodes(), 0.02, "camera") == pytest.approx(0.02)
-    with pytest.raises(RefusedError, match=r"an exposure of 0\.02 s was requested, but it uses 0\.005 s"):
+    with pytest.raises(RefusedError, match=r"an exposure of 0\.02 s was requested, but the camera uses 0\.005 s"):
         set_exposure(nodes("ExposureTime"), 0.02, "camera")
 
 
@@ -182,7 +185,7 @@ def test_counts_with_too_many_bits_are_refused() -> None:
     counts = np.full((2, 2), 64 + 16, dtype=np.uint16)
     with pytest.raises(RefusedError, match="carries more than the 10 bits of the rig file"):
         right_aligned(counts, RawPixels("BayerRG16", 16), 10, "camera")
-    with pytest.raises(BadFrameError, match="holds a count of 1024 DN, more than 10 bits"):
+    with pytest.raises(BadFrameError, match="contains a count of 1024 DN, but 10 bits"):
         right_aligned(np.array([[1024]], dtype=np.uint16), RawPixels("BayerRG10", 10), 10, "camera")
 
 
@@ -198,7 +201,7 @@ def test_bytes_become_counts_of_the_container() -> None:
     content = np.arange(13, dtype=np.uint8)  # a transport may pad
     found = image(DeliveredFrame("", 1, 0.0, 3, 2, content), RawPixels("Mono16", 16), "camera")
     np.testing.assert_array_equal(found, [[0x0100, 0x0302, 0x0504], [0x0706, 0x0908, 0x0B0A]])
-    with pytest.raises(BadFrameError, match="frame 1 holds 5 bytes; 2 x 3 px of Mono8 need 6"):
+    with pytest.raises(BadFrameError, match="frame 1 has only 5 bytes, but 2 x 3 px of Mono8 need 6"):
         image(DeliveredFrame("", 1, 0.0, 3, 2, content[:5]), RawPixels("Mono8", 8), "camera")
 
 
@@ -230,7 +233,9 @@ def test_broken_connection_is_lost_and_another_camera_is_not_taken() -> None:
     with pytest.raises(LostError, match=r"the connection broke \(unplugged\)"):
         camera.expose(0.01, 5.0)
     for ask in (camera.identity, lambda: camera.expose(0.01, 5.0)):
-        with pytest.raises(RefusedError, match=r"another camera answers now .M, serial \d.; give the serial number"):
+        with pytest.raises(
+            RefusedError, match=r"a different camera answers now .M, serial \d.; .*give its serial number"
+        ):
             ask()
     camera.close()
 

@@ -65,9 +65,9 @@ def test_features_that_are_not_there_or_out_of_range_say_so(viky: gentl.GentlCam
         viky.set_number("Width", 1e6)
     with pytest.raises(FeatureError):
         viky.number("ExposureTime")
-    with pytest.raises(RefusedError, match="cannot read out Width = 1280 px; its largest is 800 px"):
+    with pytest.raises(RefusedError, match="cannot read out Width = 1280 px, only up to 800 px"):
         configure(viky, settings("viky.cti").model_copy(update={"width_px": 1280}), "camera")
-    with pytest.raises(RefusedError, match=r"no raw pixel format with 10 bits .*it offers RGBa8, Mono8"):
+    with pytest.raises(RefusedError, match=r"no raw pixel format with 10 bits .*only RGBa8, Mono8"):
         configure(viky, settings("viky.cti").model_copy(update={"bit_depth": 10}), "camera")
 
 
@@ -83,7 +83,7 @@ def test_camera_without_an_exposure_time_is_not_opened(producer: Path) -> None:
     ("serial", "raised", "message"),
     [
         ("", RefusedError, "lists several cameras .*add '#' and the serial number"),
-        ("#77", LostError, "is not there; the producer lists .*Viky serial '0'"),
+        ("#77", LostError, "was not found .the producer lists .*Viky serial '0'"),
     ],
 )
 def test_camera_is_named_by_its_serial_number(
@@ -95,7 +95,7 @@ def test_camera_is_named_by_its_serial_number(
 
 def test_producer_that_is_missing_or_none(producer: Path, tmp_path: Path) -> None:
     with (
-        pytest.raises(RefusedError, match=r"there is no producer .*nowhere\.cti; give the \.cti file"),
+        pytest.raises(RefusedError, match=r"the producer .*nowhere\.cti does not exist; give the \.cti file"),
         gentl.open_camera(settings("nowhere.cti"), tmp_path),
     ):
         pass

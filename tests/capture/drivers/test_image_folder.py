@@ -75,7 +75,7 @@ def test_exposure_that_no_image_has_is_refused(tmp_path: Path) -> None:
     write_tiff(tmp_path / "a.tiff", COUNTS, (1, 50))
     with open_camera(settings(tmp_path), Path()) as camera:
         with pytest.raises(
-            RefusedError, match=r"none of the 1 images that are left was exposed for 0\.04 s; they have 0\.02 s"
+            RefusedError, match=r"none of the 1 unused images has an exposure of 0\.04 s, only of 0\.02 s"
         ):
             camera.expose(0.04, DEADLINE_S)
         np.testing.assert_array_equal(camera.expose(0.02, DEADLINE_S).counts, COUNTS)
@@ -109,20 +109,23 @@ def test_changed_frame_of_a_session_is_refused(
             with pytest.raises(BadFrameError, match=message):
                 camera.expose(first.exposure_s, DEADLINE_S)
     (tmp_path / "session.json").write_text("{}")
-    with pytest.raises(RefusedError, match="holds no record of a known kind"), open_camera(settings(tmp_path), Path()):
+    with (
+        pytest.raises(RefusedError, match="contains no record of a known kind"),
+        open_camera(settings(tmp_path), Path()),
+    ):
         pass
 
 
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("file,exposure_s\na.tiff,-1\n", r"gives a\.tiff an exposure of -1 s; it must be above 0"),
+        ("file,exposure_s\na.tiff,-1\n", r"gives a\.tiff an exposure of -1 s, but exposures must be above 0"),
         ("file,exposure_s\na.tiff,nan\n", r"frames\.csv cannot be read \('nan' is not a finite number\)"),
         ("file,exposure_s\na.tiff,long\n", r"frames\.csv cannot be read .*needs the columns 'file' and 'exposure_s'"),
         ("file,exposure_s\na.tiff,1\na.tiff,2\n", r"a\.tiff is listed twice, the second time in line 3"),
         ("file,exposure_s\na.tiff,1,5\n", r"line 2: has 3 columns, but the header has 2"),
         ("name,time\na.tiff,1\n", r"frames\.csv cannot be read .*needs the columns 'file' and 'exposure_s'"),
-        ("file,exposure_s\nz.tiff,1\n", r"frames\.csv names z\.tiff, which is not in"),
+        ("file,exposure_s\nz.tiff,1\n", r"frames\.csv names z\.tiff, but z\.tiff is missing from"),
         ("file,exposure_s\n", r"the exposure of a\.tiff is unknown; add frames\.csv"),
     ],
 )
@@ -134,10 +137,13 @@ def test_list_of_exposures_that_cannot_be_used_is_refused(tmp_path: Path, table:
 
 
 def test_folder_that_is_missing_or_empty_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RefusedError, match="there is no folder"), open_camera(settings(tmp_path / "no"), Path()):
+    with (
+        pytest.raises(RefusedError, match=r"the folder .*no does not exist"),
+        open_camera(settings(tmp_path / "no"), Path()),
+    ):
         pass
     with (
-        pytest.raises(RefusedError, match=r"holds no images; supported endings are \.dng"),
+        pytest.raises(RefusedError, match=r"contains no images; supported file name endings are \.dng"),
         open_camera(settings(tmp_path), Path()),
     ):
         pass
@@ -147,7 +153,7 @@ def test_counts_beyond_the_bits_are_refused(tmp_path: Path) -> None:
     write_tiff(tmp_path / "a.tiff", COUNTS << 6, (1, 50))
     with (
         open_camera(settings(tmp_path), Path()) as camera,
-        pytest.raises(BadFrameError, match="more than 10 bits allow; correct bit_depth"),
+        pytest.raises(BadFrameError, match="but 10 bits allow less; correct bit_depth"),
     ):
         camera.expose(0.02, DEADLINE_S)
 
@@ -276,7 +282,7 @@ def test_raw_behind_a_legacy_jpeg(tmp_path: Path, bits: int, order: int) -> None
 @pytest.mark.parametrize("cut", [1, 100, 32768])
 def test_jpeg_without_whole_raw_data_is_refused(tmp_path: Path, cut: int) -> None:
     (tmp_path / "a.jpg").write_bytes(raw_jpeg(COUNTS, 10, 0)[:-cut])
-    with pytest.raises(BadFrameError, match="no raw data follow the JPEG; a processed picture is not proportional"):
+    with pytest.raises(BadFrameError, match="no raw data follow the JPEG, but a processed picture is not proportional"):
         read_raw(tmp_path / "a.jpg")
 
 
@@ -297,7 +303,7 @@ def test_exposure_of_a_jpeg_is_that_of_its_exif(tmp_path: Path) -> None:
 
 def test_pictures_are_no_raw_counts(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 8, 3), dtype=np.uint8))
-    with pytest.raises(BadFrameError, match=r"is uint8 of shape \(8, 8, 3\); raw Bayer counts are one number"):
+    with pytest.raises(BadFrameError, match=r"is uint8 of shape \(8, 8, 3\), but raw Bayer counts must be one number"):
         read_raw(tmp_path / "a.png")
     (tmp_path / "a.png").write_bytes(b"nothing")
     with pytest.raises(BadFrameError, match="is neither PNG nor JPEG"):

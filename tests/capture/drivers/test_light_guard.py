@@ -568,7 +568,7 @@ class TestFewerThanThree:
             with (
                 pytest.raises(
                     LostError,
-                    match=r"could not be armed \(.*refused.*a connection of its own",
+                    match=r"could not be armed \(.*refused.*a second connection",
                 ),
                 light.lit(),
             ):

@@ -77,7 +77,7 @@ def test_a_slot_without_a_filter_is_refused_before_anybody_is_asked() -> None:
     person = Person()
     with (
         open_wheel(WHEEL, person) as wheel,
-        pytest.raises(RefusedError, match="no filter in slot 3; its slots are 1, 2"),
+        pytest.raises(RefusedError, match="no filter in slot 3, only in 1, 2"),
     ):
         wheel.go_to(3, 1.0)
     assert not person.heard

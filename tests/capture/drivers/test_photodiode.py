@@ -90,10 +90,10 @@ def test_readings_carry_the_time_of_the_board(tmp_path: Path) -> None:
 def test_other_boards_are_refused(tmp_path: Path) -> None:
     with diode_board(tmp_path, lambda: False) as board:
         board.greets = b"LIGHT 2.0\n"
-        with pytest.raises(RefusedError, match=r"firmware 2\.0; .* flash rigs/lights/firmware/photodiode.c"):
+        with pytest.raises(RefusedError, match=r"firmware 2\.0, but .* flash rigs/lights/firmware/photodiode.c"):
             open_photodiode(str(board.port.path)).__enter__()
         board.greets = b""
-        with pytest.raises(TimedOutError, match=r"sends no greeting within 3\.5 s; check the cable"):
+        with pytest.raises(TimedOutError, match=r"sent no greeting within 3\.5 s; check the cable"):
             open_photodiode(str(board.port.path)).__enter__()
 
 
@@ -153,7 +153,7 @@ PULSES = itertools.cycle([700, 3])
             lambda on, shut: next(PULSES) if on and not shut else 3,
             "reads the same with the laser on",
         ),  # pulses half missed
-        (lambda on, shut: 3 if shut else 700 if on else 40, "the laser is not off but dimmed"),
+        (lambda on, shut: 3 if shut else 700 if on else 40, "The laser is dimmed and not off"),
         (lambda on, shut: 700 if on else 3, "lets light of the laser through"),  # nothing was closed
         (lambda on, shut: 60 if on and shut else 700 if on else 3, "lets light of the laser through"),
         (lambda on, shut: 0 if shut else 700 if on else 30, "or something other than its beam was covered"),
@@ -331,7 +331,7 @@ def test_damaged_lines_for_ever_are_told_in_time(tmp_path: Path) -> None:
         reader.start()
         reader.join(3.0)
         assert told, "still waiting after 3 s"
-        assert "only damaged lines came for 0.3 s" in told[0]
+        assert "sent only corrupted data for 0.3 s" in told[0]
 
 
 def test_the_practice_rig_has_one(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_exposure_out_of_range_is_refused(sensor, exposure_s):
 def test_gain_out_of_range_is_refused(sensor):
     with (
         opened(gain_db=30.0) as camera,
-        pytest.raises(RefusedError, match=r"31\.6228 is out of its"),
+        pytest.raises(RefusedError, match=r"31\.6228 is out of"),
     ):
         camera.expose(0.01, 2.0)
 
@@ -191,21 +191,27 @@ def test_counts_beyond_the_bit_depth_are_refused(sensor):
 
 
 def test_size_that_the_sensor_lacks_is_refused(sensor):
-    with pytest.raises(RefusedError, match=r"the first pixel is red.*: 96 x 64; correct"), opened(width_px=98):
+    with (
+        pytest.raises(RefusedError, match=r"bits; sizes with this bit depth are 96 x 64 .*the first pixel is red"),
+        opened(width_px=98),
+    ):
         pass
 
 
 def test_packed_format_is_refused(sensor):
     sensor.answers_format = "BGGR_PISP_COMP1"
     with (
-        pytest.raises(RefusedError, match="raw SBGGR10 of 98 x 66 px was requested, but it delivers BGGR"),
+        pytest.raises(RefusedError, match="raw SBGGR10 of 98 x 66 px was requested, but the camera delivers BGGR"),
         opened(),
     ):
         pass
 
 
 def test_other_camera_number_is_refused(sensor):
-    with pytest.raises(RefusedError, match=r"no such camera; it has: 0 \(imx219\)"), opened(address="3"):
+    with (
+        pytest.raises(RefusedError, match=r"does not exist on this Raspberry Pi; its cameras are 0 \(imx219\)"),
+        opened(address="3"),
+    ):
         pass
 
 

@@ -114,7 +114,7 @@ def test_reports_in_inches_are_read(bench):
 
 def test_travel_of_the_rig_file_is_kept_before_anything_moves(homed, bench):
     for axis, to_mm in (("Z", -20.5), ("Z", 0.1), ("X", 41.0), ("Y", 1.0)):
-        with pytest.raises(RefusedError, match=r"outside its travel|cannot move"):
+        with pytest.raises(RefusedError, match=r"outside its travel|has no axis"):
             homed.move(axis, to_mm, FAST_MM_PER_S, nothing)
     assert not [line for line in bench.controller.lines if line.startswith("$J")]
 
@@ -123,14 +123,14 @@ def test_own_travel_of_the_controller_is_told_in_words(bench):
     wide = stage_settings(str(bench.controller.port.path), press_travel_mm=(-90.0, 0.0))
     with open_stage(wide) as stage:
         stage.home(10.0, nothing)
-        with pytest.raises(RefusedError, match="error 15: the end of the move lies beyond its own travel"):
+        with pytest.raises(RefusedError, match=r"error 15 .the end of the move lies beyond its own travel"):
             stage.move("Z", -80.0, FAST_MM_PER_S, nothing)
         stage.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
 def test_no_homing_switches(stage, bench):
     bench.controller.has_homing = False
-    with pytest.raises(RefusedError, match="error 5: homing is switched off"):
+    with pytest.raises(RefusedError, match=r"error 5 .homing is switched off"):
         stage.home(10.0, nothing)
     assert stage.places_mm() is None
 
@@ -156,7 +156,7 @@ def test_what_the_watch_raises_stops_the_stage_with_its_place_kept(homed, bench,
 
 def test_reset_in_the_midst_of_a_move_loses_the_place(homed, bench):
     threading.Timer(0.4, bench.controller.reset).start()
-    with pytest.raises((LostError, RefusedError), match=r"alarm 3: it was reset while it moved|restarted"):
+    with pytest.raises((LostError, RefusedError), match=r"alarm 3 .it was reset while it moved|restarted"):
         homed.move("Z", -19.0, 2.0, nothing)
     assert bench.rests
     assert homed.places_mm() is None
@@ -243,7 +243,7 @@ def test_another_board_at_the_address_of_the_stage_is_not_driven(bench, monkeypa
     with open_stage(stage_settings(str(port.path))) as stage:
         stage.home(10.0, nothing)
         threading.Timer(0.3, replug).start()
-        with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP: .*another board .*'B', before 'A'.*Z = -"):
+        with pytest.raises(UnsafeError, match=r"NOT SEEN TO STOP: .*another board .*'B', but 'A' before.*Z = -"):
             stage.move("Z", -19.0, 1.0, nothing)
         with pytest.raises(UnsafeError, match="another board answers now"):
             stage.stop()
@@ -257,7 +257,7 @@ def test_stage_that_rests_elsewhere_is_told(homed, bench, monkeypatch):
         bench.controller.port.say(b"ok\r\n")
 
     monkeypatch.setattr(bench.controller, "_jog", jog)
-    with pytest.raises(WrongPositionError, match=r"stands at 0.000 mm, but was sent to -1.000 mm"):
+    with pytest.raises(WrongPositionError, match=r"was sent to -1.000 mm, but stands at 0.000 mm"):
         homed.move("Z", -1.0, FAST_MM_PER_S, nothing)
 
 
@@ -397,7 +397,7 @@ def test_damaged_lines_for_ever_are_told_in_time(cell, bench):
     reader.join(3.0)
     assert ended, "still waiting after 3 s"
     assert ended[0] < 0.8
-    assert "only damaged lines came for 0.3 s" in ended[1]
+    assert "sent only corrupted data for 0.3 s" in ended[1]
 
 
 def read_on(cell: Hx711Cell, readings: int) -> None:

@@ -135,7 +135,7 @@ def test_a_stuck_wheel_is_late(device: EmulatedWheel, prompt_after_move: bool) -
 def test_a_lost_step_is_a_wrong_position(device: EmulatedWheel, prompt_after_move: bool, slip: int) -> None:
     device.control.put(prompt_after_move=prompt_after_move, slip=slip)
     with opened(device.address) as wheel:
-        with pytest.raises(WrongPositionError, match=f"sent from slot 1 to slot 5 and stopped at slot {5 + slip};"):
+        with pytest.raises(WrongPositionError, match=f"sent from slot 1 to slot 5, but stopped at slot {5 + slip};"):
             wheel.go_to(5, MOVE_S)
         assert wheel.position() == 5 + slip
 
@@ -151,7 +151,7 @@ def test_a_wheel_that_falls_back_is_late(device: EmulatedWheel) -> None:
 def test_a_slot_beyond_the_wheel_is_refused_and_nothing_moves(device: EmulatedWheel) -> None:
     with opened(device.address) as wheel:
         for slot in (0, 13, -1):
-            with pytest.raises(RefusedError, match=f"has no slot {slot}; its slots are 1 to 12"):
+            with pytest.raises(RefusedError, match=f"has no slot {slot} .its slots are 1 to 12."):
                 wheel.go_to(slot, MOVE_S)
     assert (device.control.get("target"), device.control.get("pos")) == (1, 1)
 
@@ -192,7 +192,9 @@ def test_a_wheel_that_is_mute_from_the_start(device: EmulatedWheel) -> None:
 def test_a_garbled_answer_is_no_answer(device: EmulatedWheel, impatient: None) -> None:
     with opened(device.address) as wheel:
         device.control.put(garble=True)
-        with pytest.raises(LostError, match=r"answers 'pos\?' with \['#os\?', '1'\]; check that no other program"):
+        with pytest.raises(
+            LostError, match=r"answers 'pos\?' with \['#os\?', '1'\], which is not a valid answer; check"
+        ):
             wheel.position()
         device.control.put(garble=False)
         assert wheel.position() == 1
@@ -234,7 +236,7 @@ def test_a_count_that_no_wheel_has(device: EmulatedWheel) -> None:
 def test_a_setting_that_is_not_kept(device: EmulatedWheel, setting: str) -> None:
     told, kept = (0, 1) if setting == "sensors" else (1, 0)
     device.control.put(forgets=setting)
-    what = f"the setting '{setting}={told}' was sent, but it reports {setting} = {kept}"
+    what = f"the setting '{setting}={told}' was sent, but the wheel reports {setting} = {kept}"
     with pytest.raises(RefusedError, match=what), opened(device.address):
         pass
 
