@@ -563,8 +563,8 @@ def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
         if kinds[0] != kinds[1]:
             raise ImportFormatError(
                 f"{first_path} has {kinds[0]}, but {path} has {kinds[1]}, so their values cannot be compared; save all "
-                "pictures, with and without contact, in the same format. If one is no picture of the camera, such as a map "
-                "of depths, let presses.files, presses.only or presses.leave_out pass it over"
+                "pictures, with and without contact, in the same format. If one is no picture of the camera, such as a "
+                "map of depths, let presses.files, presses.only or presses.leave_out pass it over"
             )
 
 

@@ -211,8 +211,8 @@ def design_filters(
     if not 1 <= wanted <= len(offered):
         raise FitError(
             f"design: the number of filters must be {len(kept) + 1} to {len(kept) + len(offered)} (--number), but "
-            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} others of the catalogue pass "
-            "no laser light"
+            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} others of the catalogue "
+            "pass no laser light"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):
