@@ -299,8 +299,7 @@ def point_key(task: StudyTask, point: PlannedPoint) -> str:
     return _sha256(
         {
             "design": point.design.model_dump(mode="json", exclude={"provenance"}),
-            **design_digests(point.design, task.design_folder, ["indenter"]),
-            **(design_digests(point.design, task.design_folder, ["camera"]) if task.plan.measure.images else {}),
+            **design_digests(point.design, task.design_folder, ["indenter"] + ["camera"] * task.plan.measure.images),
             "measure": task.plan.measure.model_dump(mode="json"),
             "seed": point.seed,
             "paints": dict(task.paints.sources) if task.plan.measure.images else {},
