@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 from data_schemas import lazy_exports
 
 if TYPE_CHECKING:
-    from sim._design_files import design_digests, design_inputs, read_design_files, sensor_inputs
     from sim._designs import (
         PRESETS,
         SENSORS,
+        design_inputs,
         design_toml,
         given_design,
         is_sensor,
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         preset_sensor,
         read_design,
         read_sensor,
+        sensor_inputs,
         sensor_toml,
         with_pad_size,
     )
@@ -33,7 +34,6 @@ else:
 __all__ = [
     "PRESETS",
     "SENSORS",
-    "design_digests",
     "design_inputs",
     "design_toml",
     "given_design",
@@ -43,7 +43,6 @@ __all__ = [
     "preset_sensor",
     "proof_failure",
     "read_design",
-    "read_design_files",
     "read_sensor",
     "sensor_inputs",
     "sensor_toml",

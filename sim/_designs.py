@@ -358,6 +358,12 @@ def _onto_preset(
     return _merged({**values, "origin": origin}, written)
 
 
+def design_inputs(design: FingerDesign, path: Path) -> list[Path]:
+    """Return the design's file and those that it names."""
+    named = [design.camera.calibration, None if design.camera.response == "assumed" else design.camera.response]
+    return [path, *(path.parent / name for name in named if name is not None)]
+
+
 def _require_tables(path: Path, written: Mapping[str, Any], model: type[BaseModel]) -> None:
     """Refuse a design in which a part of the finger is not there."""
     wanted = [name for name in _tables(model) if name != FILM_MATERIAL or _at(written, FILM_OF_THE_PAD) is not None]
@@ -651,3 +657,14 @@ def read_sensor(path: Path) -> PlainSensor:
         return _onto_preset(path, preset, preset_sensor, written)
 
     return read_toml(path, PlainSensor, complete)
+
+
+def sensor_inputs(sensor: PlainSensor, path: Path) -> list[Path]:
+    """Return the design's file and those that it names."""
+    camera = sensor.camera
+    named = [
+        camera.calibration,
+        None if camera.response in ("ideal", "assumed") else camera.response,
+        sensor.indenter.file if sensor.surface is None else sensor.surface.file,
+    ]
+    return [path, *(path.parent / name for name in named if name is not None)]

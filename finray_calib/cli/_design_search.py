@@ -267,8 +267,7 @@ def light_measure(
 
     from data_schemas import PaintCalibration
     from data_schemas.storage import camera_response, read_record
-    from sim import design_digests, read_design_files
-    from sim.experiments import EvaluationSettings, LightMeasure, PaintDraws
+    from sim.experiments import EvaluationSettings, LightMeasure, PaintDraws, design_digests, read_design_files
     from sim.optics import read_calibration
 
     files = paint_files(arguments, without="the simulated rig's paints")
@@ -371,8 +370,8 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.studies import tolerance_page
-    from sim import given_design, read_design_files
-    from sim.experiments import ToleranceSettings
+    from sim import given_design
+    from sim.experiments import ToleranceSettings, read_design_files
 
     design, files, folder = given_design(arguments.design)
     files = [*files, *read_design_files(design, folder, ["camera"]).values()]
@@ -483,8 +482,8 @@ def run_assess(arguments: argparse.Namespace) -> None:
     from data_schemas.storage import write_bytes
     from finray_calib.reports import assessment_page, decision_page, finger_outline
     from finray_calib.reports.studies import tolerance_page
-    from sim import design_toml, given_design, read_design_files, with_pad_size
-    from sim.experiments import ToleranceSettings
+    from sim import design_toml, given_design, with_pad_size
+    from sim.experiments import ToleranceSettings, read_design_files
 
     design, files, folder = given_design(arguments.design)
     files = [*files, *read_design_files(design, folder).values()]

@@ -277,7 +277,7 @@ def run_learning_dataset(arguments: argparse.Namespace) -> None:
     """Make a data set for learning; store its shards, index, card and record."""
     from data_schemas import SimulateError, provenance
     from data_schemas.storage import clear_leftovers
-    from sim import read_design_files
+    from sim.experiments import read_design_files
     from sim.studies import DatasetTask, planned_shards, run_dataset
 
     plan, path = _dataset_plan(arguments)

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_softmax
 
 from finray_calib.decide._capture_errors import CaptureErrors
 from finray_calib.decide._gaussian_process import (
@@ -47,9 +48,8 @@ PROPORTIONAL_PROBABILITY = 0.5
 #: share panel, coat and camera; else any share of it, all alike likely. Nobody measured it.
 BLIND_PROBABILITY = 0.5
 _LEAST_SHARE = 0.02
+_LEAST_CONTRAST_REL = 0.02
 _NODES_REL = np.geomspace(0.002, 1.0, 21)
-_LENGTHS_DEG = LENGTHS_DEG
-_SMOOTHNESSES = SMOOTHNESSES
 
 #: Two edges and a narrow reflection are each there with this probability, of a lognormal size (median, log sd).
 EDGE_PROBABILITY = 0.5
@@ -179,7 +179,7 @@ class Discrepancy:
     def _contrast_share(self) -> float:
         """Standard deviation of the log curves over the angle as a share of the usual one, at most 1."""
         contrast = float(np.sqrt(self._ln_curves.var(axis=1).mean()))
-        return float(np.clip(contrast / USUAL_CONTRAST, _LEAST_SHARE, 1.0))
+        return float(np.clip(contrast / USUAL_CONTRAST, _LEAST_CONTRAST_REL, 1.0))
 
     def _moved(self, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Return draws of ln(f(angle) / f(angle + by)), one `by` for all places, beyond the sweep as at its ends.
@@ -215,7 +215,7 @@ class _Shapes:
 def _ln_prior(factor: Floats) -> Floats:
     """Return the log prior (A, S) of the amplitudes that are summed over: lognormal, its median times each factor."""
     ln = -0.5 * (np.log(np.divide.outer(_NODES_REL, factor) / PRIOR_ERROR_REL) / PRIOR_ERROR_LOG_SD) ** 2
-    return np.asarray(ln - np.log(np.exp(ln - ln.max(axis=0)).sum(axis=0)) - ln.max(axis=0))
+    return np.asarray(log_softmax(ln, axis=0))
 
 
 def edges_and_glints(angles_deg: Floats, count: int, grid_deg: Floats, rng: np.random.Generator) -> Floats:
@@ -301,8 +301,8 @@ def _prior() -> CurvePrior:
         PRIOR_ERROR_REL,
         PRIOR_ERROR_LOG_SD,
         _NODES_REL,
-        _SMOOTHNESSES,
-        _LENGTHS_DEG,
+        SMOOTHNESSES,
+        LENGTHS_DEG,
     )
 
 

@@ -67,9 +67,11 @@ if TYPE_CHECKING:
         CameraResponse,
         FingerScene,
         PaintedFinger,
+        design_digests,
         finger_scene,
         paint_finger,
         paint_optics,
+        read_design_files,
         require_paints_in_order,
     )
     from sim.experiments._paper_paints import reproduce_paper_paints
@@ -189,6 +191,7 @@ __all__ = [
     "coat_cells",
     "confirmed_losses",
     "default_parameters",
+    "design_digests",
     "design_parameter",
     "finger_force_model",
     "finger_scene",
@@ -216,6 +219,7 @@ __all__ = [
     "press_sensitivities",
     "pressed_coat",
     "protocol_solids",
+    "read_design_files",
     "recoloured",
     "render_ball_presses",
     "render_each_light",

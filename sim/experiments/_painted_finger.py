@@ -1,9 +1,10 @@
 """A finger design with calibrated paints: what every study renders."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,10 @@ from data_schemas import (
     PaintCalibration,
     SimulateError,
     SpectralCurve,
+    digest_of_input,
     require_coverage,
 )
-from data_schemas.storage import camera_response
+from data_schemas.storage import camera_response, read_bytes
 from sim.optics import BAND_NAMES, PaintBands, PaintOptics, camera_matrix, read_calibration
 from sim.surface_meshes import FingerShape, restore_shapes
 
@@ -26,6 +28,13 @@ CameraResponse = tuple[SpectralCurve, SpectralCurve, SpectralCurve]
 COLOURS = ("red", "green")
 RESPONSE_NM: Floats = np.arange(380.0, 781.0, 1.0)
 RESPONSE_NM.flags.writeable = False
+_NAMED: Final = {
+    "camera": ("calibration", "response"),
+    "indenter": ("file",),
+}
+"""Part of a finger -> its fields that name a file."""
+#: Words of such a field that name no file.
+_NO_FILE: Final = (None, "assumed", "ideal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,3 +220,42 @@ def require_paints_in_order(modes_nm: Mapping[str, float], names: Mapping[str, s
         f"green={names['green']} at {modes_nm['green']:.0f} nm. Exchange the paints, or give {remedy} if this is "
         "intended"
     )
+
+
+def read_design_files(design: FingerDesign, folder: Path, parts: Collection[str] = tuple(_NAMED)) -> dict[str, Path]:
+    """Read the files that parts of a design name, so that their content is known; return field -> file.
+
+    Parameters
+    ----------
+    design
+        The finger.
+    folder
+        Where relative paths in the design start.
+    parts
+        "camera", "indenter" or both.
+
+    Raises
+    ------
+    RecordError
+        A file is not there or cannot be read.
+    """
+    files = _files(design, folder, parts)
+    for name, file in files.items():
+        read_bytes(file, f"a file ({name} of the design)")
+    return files
+
+
+def design_digests(design: FingerDesign, folder: Path, parts: Collection[str] = tuple(_NAMED)) -> dict[str, str]:
+    """Return field -> SHA-256 of the files that parts of a design name, for keys: a name may stay with another content.
+
+    Empty where the design names none. Parameters and errors as of :func:`read_design_files`.
+    """
+    files = read_design_files(design, folder, parts)
+    # keys that are kept know the indenter's only file as "indenter"
+    return {name.removesuffix(".file"): digest_of_input(file) for name, file in files.items()}
+
+
+def _files(design: FingerDesign, folder: Path, parts: Collection[str]) -> dict[str, Path]:
+    """Return field -> file of what parts of a design name."""
+    named = {f"{part}.{name}": getattr(getattr(design, part), name) for part in parts for name in _NAMED[part]}
+    return {name: folder / file for name, file in named.items() if file not in _NO_FILE}

@@ -35,12 +35,12 @@ from data_schemas import (
     why_failed,
 )
 from data_schemas.storage import ProductSet, clear_leftovers, read_record, write_record
-from sim import design_digests
 from sim.experiments import (
     PaintDraws,
     PaintedFinger,
     RenderedSample,
     SamplePaints,
+    design_digests,
     paint_finger,
     press_records,
     render_noise_rel,

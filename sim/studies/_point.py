@@ -43,8 +43,16 @@ from data_schemas.storage import (
     write_bytes,
     write_record,
 )
-from sim import PRESETS, design_digests, preset_design, read_design
-from sim.experiments import camera_rgb, coat_cells, imprinted_shapes, paint_finger, press_records, vividness
+from sim import PRESETS, preset_design, read_design
+from sim.experiments import (
+    camera_rgb,
+    coat_cells,
+    design_digests,
+    imprinted_shapes,
+    paint_finger,
+    press_records,
+    vividness,
+)
 from sim.mechanics import PressSettings, press_as_designed
 from sim.optics import (
     BAND_NAMES,
@@ -291,8 +299,7 @@ def point_key(task: StudyTask, point: PlannedPoint) -> str:
     return _sha256(
         {
             "design": point.design.model_dump(mode="json", exclude={"provenance"}),
-            **_indenter_digest(task, point.design),
-            **(design_digests(point.design, task.design_folder, ["camera"]) if task.plan.measure.images else {}),
+            **design_digests(point.design, task.design_folder, ["indenter"] + ["camera"] * task.plan.measure.images),
             "measure": task.plan.measure.model_dump(mode="json"),
             "seed": point.seed,
             "paints": dict(task.paints.sources) if task.plan.measure.images else {},
@@ -306,14 +313,9 @@ def press_file(task: StudyTask, design: FingerDesign) -> Path | None:
         return None
     known = design.model_dump(mode="json", exclude=set(_OPTICAL_PARTS))
     increments = task.plan.measure.increments
-    digest = _sha256({"design": known, **_indenter_digest(task, design), "increments": increments})
+    indenter = design_digests(design, task.design_folder, ["indenter"])
+    digest = _sha256({"design": known, **indenter, "increments": increments})
     return task.folder / PRESSES / f"{digest[:16]}.surfaces.json"
-
-
-def _indenter_digest(task: StudyTask, design: FingerDesign) -> dict[str, str]:
-    """Return the SHA-256 of an indenter's file by the name that kept keys have for it; nothing without one."""
-    found = design_digests(design, task.design_folder, ["indenter"])
-    return {"indenter": found["indenter.file"]} if found else {}
 
 
 def has_press(task: StudyTask, surfaces_file: Path) -> bool:

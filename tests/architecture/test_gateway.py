@@ -30,7 +30,6 @@ ALLOWED = {
     ("sim/surface_meshes/_imprint.py", "cv2.imdecode"): "bytes of the gateway, in its child",
     ("rigs/cameras/_image_files.py", "cv2.imdecode"): "bytes of the gateway, or a camera's stream of limited size",
     ("sim/optics/_calibrated_camera.py", "cv2.FileStorage"): "bytes of the gateway, in a limited child",
-    ("finray_calib/exchange/_learning_dataset.py", "tarfile.open"): "a file that the gateway opened",
     ("finray_calib/exchange/_paint_reradiation.py", "_open_exr().File"): "bytes of the gateway, in a limited child",
     **dict.fromkeys(
         (

@@ -94,8 +94,8 @@ def test_posterior_agrees_with_a_dense_joint_normal(scale_of, monkeypatch):
     """The scales as normal variables of huge variance, then plain conditioning; two amplitudes and two kernels."""
     nodes = [(a, kernel) for a in (0.05, 0.2) for kernel in ((35.0, 2.5), (12.0, 2.5), (35.0, 0.5), (12.0, 0.5))]
     monkeypatch.setattr(module, "_NODES_REL", np.array([0.05, 0.2]))
-    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([35.0, 12.0]))
-    monkeypatch.setattr(module, "_SMOOTHNESSES", (0.5, 2.5))
+    monkeypatch.setattr(module, "LENGTHS_DEG", np.array([35.0, 12.0]))
+    monkeypatch.setattr(module, "SMOOTHNESSES", (0.5, 2.5))
     errors = captures([0.31, 0.2, 0.28], scale_of)
     found = posterior(errors, slope=0.03)
     vague = 1e4
@@ -230,8 +230,8 @@ def test_relative_captures_agree_with_draws_of_the_prior_weighted_by_their_likel
     """Any share is visible; the draws are made here, and nothing of the update is shared."""
     monkeypatch.setattr(module, "EDGE_PROBABILITY", 0.0)
     monkeypatch.setattr(module, "MOVED_SD_DEG", 0.0)
-    monkeypatch.setattr(module, "_LENGTHS_DEG", np.array([25.0]))
-    monkeypatch.setattr(module, "_SMOOTHNESSES", (1.5,))
+    monkeypatch.setattr(module, "LENGTHS_DEG", np.array([25.0]))
+    monkeypatch.setattr(module, "SMOOTHNESSES", (1.5,))
     monkeypatch.setattr(module, "_SHAPES", 3000)
     # lighter tails, so that standard deviations of draws say something
     monkeypatch.setattr(module, "PRIOR_ERROR_LOG_SD", 0.5)

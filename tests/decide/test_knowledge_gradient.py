@@ -83,8 +83,8 @@ def test_capture_gain_agrees_with_deciding_anew_on_every_outcome(monkeypatch):
     """Small errors of one size and kernel are normal and linear: conditioned densely, outcome by outcome."""
     size, noise, length_deg = 0.004, 0.001, 20.0
     monkeypatch.setattr(prior, "_NODES_REL", np.array([size]))
-    monkeypatch.setattr(prior, "_LENGTHS_DEG", np.array([length_deg]))
-    monkeypatch.setattr(prior, "_SMOOTHNESSES", (1.5,))
+    monkeypatch.setattr(prior, "LENGTHS_DEG", np.array([length_deg]))
+    monkeypatch.setattr(prior, "SMOOTHNESSES", (1.5,))
     for name in ("EDGE_PROBABILITY", "MOVED_SD_DEG", "PROPORTIONAL_PROBABILITY"):
         monkeypatch.setattr(prior, name, 0.0)
     low = 1 + 0.004 * np.cos(np.radians(3 * (FINE_DEG - 40)))
