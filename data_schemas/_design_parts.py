@@ -630,7 +630,8 @@ class OgdenSolid(Rubber):
         if sum(self.mu_mpa) <= 0.0:
             raise ValueError(
                 "mu_mpa: the initial shear modulus (the sum of the terms) must be positive, but is "
-                f"{sum(self.mu_mpa):g} MPa; multiply constants of an energy with the factor mu / alpha by alpha / 2"
+                f"{sum(self.mu_mpa):g} MPa; if the constants are those of an energy with the prefactor mu / alpha, "
+                "multiply each mu by alpha / 2"
             )
         try:
             check_magnitude(sum(self.mu_mpa), *_SHEAR_MPA, "MPa")

@@ -326,9 +326,9 @@ class PackagedPad:
         if drop.max() >= thickness_mm:
             at = np.unravel_index(int(drop.argmax()), drop.shape)
             raise self._plug_in.kind.error(
-                f"thickness_mm = {thickness_mm:g} mm leaves no gel {x[at]:.3g} mm across and {z[at]:.3g} mm along "
-                f"from the middle, because the face of {self._plug_in.label} lies {drop.max():.3g} mm below the crown "
-                "there; make the pad thicker, or change pad.parameters"
+                f"thickness_mm = {thickness_mm:g} mm leaves no gel at the point {x[at]:.3g} mm across and {z[at]:.3g} "
+                f"mm along from the middle, because the face of {self._plug_in.label} lies {drop.max():.3g} mm below "
+                "the crown there; make the pad thicker, or change pad.parameters"
             )
         self._check_curvature(width_mm, length_mm, parameters)
 

@@ -116,8 +116,9 @@ def write_record(record: Record, path: PathLike) -> Path:
     """
     if not isinstance(record, Record):
         raise RecordError(
-            f"{(f'{path}: ' if isinstance(path, str | os.PathLike) else '')}the first argument must be a record, such "
-            f"as fit_paint returns, and the second its path, but the first is of type {type(record).__name__}"
+            f"{(f'{path}: ' if isinstance(path, str | os.PathLike) else '')}the first argument must be a record, for "
+            "example the result of fit_paint, and the second must be its path, but the first is of type "
+            f"{type(record).__name__}"
         )
     try:
         type(record).model_validate(record.__dict__)  # model_copy(update=...) takes anything

@@ -451,7 +451,7 @@ def add_export(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="record written by 'finray fit'; or a word and its source: 'deck', 'taxim', 'capture-request' or "
         "'protocol' and a design, 'captures' and a folder, or 'ome-tiff', 'nexus' or 'bluesky' and a session",
     )
-    parser.add_argument("--format", choices=list(SUFFIXES), help="file format of a paint, as listed above")
+    parser.add_argument("--format", choices=list(SUFFIXES), help="format of the paint file, as listed above")
     add_deck_options(parser)
     add_taxim_options(parser)
     parser.add_argument(

@@ -216,8 +216,8 @@ def _distance(capture: TactileCapture) -> Floats:
     distance = contact_distance(capture)
     if distance is None:
         raise CompareError(
-            f"{capture.name}: the capture does not state where the contact is; import the capture with a circle, an "
-            "outline or a search"
+            f"{capture.name}: the capture does not state where the contact is; import it again and give the contact "
+            "as a circle or an outline, or let the import search for it"
         )
     return distance
 

@@ -133,8 +133,9 @@ def _capture_of(report: PhotometricErrorReport, contact: int) -> ValidatingCaptu
         )
     if report.relative:
         raise DecideError(
-            f"the report on {report.captured} is relative, so it judges only the change by contact and not the light "
-            "of the render, on which the angle depends. Compare again without --relative, or leave the report out"
+            f"the report on {report.captured} is relative, so it judges how the image changes by contact, but not the "
+            "illumination of the render, on which the decision depends. Compare again without --relative, or leave "
+            "the report out"
         )
     if report.objective_error is None and (report.values == "linear light" or report.tone_curve is not None):
         raise DecideError(

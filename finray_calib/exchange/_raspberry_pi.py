@@ -311,8 +311,8 @@ def _from_processed(
     """Estimate linear light from processed images and say how well it is known."""
     if options.tuning is None:
         raise ImportFormatError(
-            f"{folder}: the encoding of processed images (PNG or JPEG) is unknown without the tuning file that the "
-            "camera used; give --tuning, or capture raw (rpicam-still --raw)"
+            f"{folder}: the tone curve of processed images (PNG or JPEG) is unknown without the camera's tuning file; "
+            "give --tuning, or capture raw (rpicam-still --raw)"
         )
     sizes = {image.codes.shape for image in processed.values()}
     if len(sizes) > 1:

@@ -340,7 +340,9 @@ def verify_folder(folder: Path) -> FolderCheck:
     inside = folder_at(folder)
     if inside is None:
         what = "is a file, not a folder (check a record with 'finray trace');" if folder.exists() else "no such folder;"
-        raise RecordError(f"{folder}: {what} give the folder of a session or of products, or a zip archive of one")
+        raise RecordError(
+            f"{folder}: {what} give the folder of a session or of products, or a zip archive of such a folder"
+        )
     folder = inside
     tracer, records = Tracer(), list[Traced]()
     faults: dict[FileFault, None] = {}

@@ -488,8 +488,8 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
         if rig.stage is None or rig.load_cell is None:
             if press.until_force_n is not None or press.force_limit_n is not None:
                 raise CaptureError(
-                    f"{where}: gives a force, but the rig has no stage with a load cell that could stop at it; "
-                    "describe stage and load cell in the rig file, or leave the force out"
+                    f"{where}: gives a force, but the rig has no stage with a load cell, so a press cannot stop at a "
+                    "force; describe stage and load cell in the rig file, or leave the force out"
                 )
             continue
         if press.tilt_deg:

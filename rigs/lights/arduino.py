@@ -200,7 +200,7 @@ class ArduinoSwitch:
                     continue
                 if said.word != "ON":
                     raise WentOffError(
-                        f"{self._name}: answers {said.word} although it was switched on; check the board"
+                        f"{self._name}: reports {said.word} although it was switched on; check the board"
                     )
                 self._missed = 0
             if self._missed >= MISSED_ANSWERS:

@@ -258,7 +258,7 @@ class AlpacaClient:
         said = str(answer.get("ErrorMessage", ""))[:200]
         told = f"{self.name}: '{member}' fails with error {error:#x} ({_ERRORS.get(error, 'of the driver')}): {said}"
         if error == _NOT_CONNECTED:
-            raise LostError(f"{told}; check the device's cable and connect it in its server")
+            raise LostError(f"{told}; check the cable of the device, then connect the device again in its server")
         raise RefusedError(
             f"{told}; correct the rig file or the plan if the device cannot do this, otherwise repair the device"
         )

@@ -228,7 +228,7 @@ def together(samples: Sequence[Samples]) -> Samples:
     """Return the samples of several presses as one."""
     whole = Samples(*(np.concatenate([getattr(s, field.name) for s in samples]) for field in fields(Samples)))
     if not len(whole):
-        raise SimulateError("no press can be used for training, because in all of them ribs pass through each other")
+        raise SimulateError("none of the presses can be used for training, because ribs intersect in every one of them")
     return whole
 
 

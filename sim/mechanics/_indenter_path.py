@@ -142,7 +142,7 @@ def read_path(path: Path) -> tuple[PathPose, ...]:
     if not set(header) & set(known[:-1]):
         raise SimulateError(f"{path}: no column moves or turns the indenter; {allowed}")
     if not rows:
-        raise SimulateError(f"{path}: contains no pose; write one row for each pose of the indenter below the header")
+        raise SimulateError(f"{path}: contains no poses; write one row for each pose below the header")
     poses = []
     for line, cells in rows:
         if len(cells) < len(header):

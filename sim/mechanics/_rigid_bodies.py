@@ -492,7 +492,7 @@ def read_triangles(path: Path, what: str) -> tuple[FloatArray, IntArray]:
         corners = _text_stl(data, path)
     vertices = corners.reshape(-1, 3)
     if not np.isfinite(vertices).all():
-        raise SimulateError(f"{path}: contains corners that are not finite numbers; export the body again")
+        raise SimulateError(f"{path}: contains vertices with coordinates that are not finite; export the body again")
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 

@@ -239,7 +239,9 @@ class Surface:
                 "coordinates"
             )
         if self.triangles.min() < 0 or self.triangles.max() >= len(self.vertices_mm):
-            raise SimulateError(f"a surface's triangles must name only vertices from 0 to {len(self.vertices_mm) - 1}")
+            raise SimulateError(
+                f"triangles of a surface must use only vertex indices from 0 to {len(self.vertices_mm) - 1}"
+            )
 
     def reversed(self) -> "Surface":
         """Return the same surface seen from its other side."""

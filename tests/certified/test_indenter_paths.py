@@ -116,7 +116,7 @@ def test_the_way_back_without_friction_ends_where_it_began():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("across_mm,push_mm\n", "contains no pose"),
+        ("across_mm,push_mm\n", "contains no poses"),
         ("across,push_mm\n0,1\n", "the column 'across' is unknown"),
         ("increments\n3\n", "no column moves"),
         ("push_mm,turn_y_deg\n1,ten\n", "line 2, column turn_y_deg"),

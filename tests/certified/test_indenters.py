@@ -136,7 +136,7 @@ def test_a_text_file_is_read_too(tmp_path):
         (CUBE.triangles, 1e3, "seems to be in micrometres"),
         (CUBE.triangles[:0], 1.0, "contains no triangles"),
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "enclose no volume"),
-        (CUBE.triangles, np.nan, "corners that are not finite numbers"),
+        (CUBE.triangles, np.nan, "vertices with coordinates that are not finite"),
         (
             CUBE.triangles[:, ::-1],
             1.0,

@@ -204,7 +204,7 @@ def test_a_shape_without_mirror_or_with_too_few_distances_is_refused():
     [
         ({"vertices_mm": np.full((3, 3), np.nan)}, "vertices_mm must be finite"),
         ({"uv": np.zeros((2, 2))}, "one texture coordinate for each vertex"),
-        ({"triangles": np.array([[0, 1, 3]])}, "must name only vertices from 0 to 2"),
+        ({"triangles": np.array([[0, 1, 3]])}, "must use only vertex indices from 0 to 2"),
     ],
 )
 def test_a_broken_surface_is_refused(change, message):

@@ -271,7 +271,7 @@ class TestFaults:
         ("answer", "match"),
         [
             (b"TRIP\nOFF\n", "the dead-man switched it off"),
-            (b"OFF\n", "answers OFF although it was switched on"),
+            (b"OFF\n", "reports OFF although it was switched on"),
             (b"LASER 1.2\n", "the board restarted, which switches the light off"),
         ],
     )
@@ -366,7 +366,7 @@ def test_finding_the_step_on_a_line_that_never_falls_silent_ends_at_the_deadline
     switch = ArduinoSwitch(LineOf(b"LASER 1.2\n"), "laser", "a port")
     switch._link = Chatter(b"OFF\n")  # noqa: SLF001 - after a good start
     switch.keep_alive()
-    with pytest.raises(LostError, match="answers OFF"):
+    with pytest.raises(LostError, match="reports OFF"):
         switch.keep_alive()  # from here on answers may belong to other commands
     with pytest.raises(UnsafeError, match=r"NOT CONFIRMED OFF.*does not stop sending; check that this port"):
         switch.switch(False, 0.2)
