@@ -21,11 +21,12 @@ from functools import cache, partial
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
-from typing import Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar, cast
 
 from data_schemas import (
     NO_ADDRESS,
     CameraSettings,
+    CaptureError,
     FilterWheelSettings,
     LampSettings,
     LaserSettings,
@@ -228,7 +229,31 @@ def _opened(
         device = plug_in.call(lambda: stack.enter_context(opening(module)), when=" when it opens")
         if lacking := missing_members(device, protocol):
             raise plug_in.refusal(f"returns a device that lacks {', '.join(lacking)}")
-        yield device
+        yield device if driver.is_ours else cast("Device", _PackagedDevice(plug_in, device, protocol))
+
+
+class _PackagedDevice:
+    """A device of another package, whose errors name its driver and the method; errors of finray's own kinds pass."""
+
+    def __init__(self, plug_in: PlugIn, device: object, protocol: type) -> None:
+        self._plug_in, self._device, self._protocol = plug_in, device, protocol
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in dir(self._protocol):
+            return getattr(self._device, name)
+        found = self._named(name, lambda: getattr(self._device, name))
+        if not callable(found):
+            return found
+        return lambda *given, **named: self._named(f"{name}()", lambda: found(*given, **named))
+
+    def _named(self, what: str, function: Callable[[], Any]) -> Any:
+        try:
+            return self._plug_in.call(function, when=f" in {what}")
+        except OSError as error:  # of a broken cable as of a mistake: a driver tells the two apart
+            raise CaptureError(
+                f"{self._plug_in.label} fails in {what} ({type(error).__name__}: {error}); check the device and its "
+                f"cable ({HOW_TO})"
+            ) from error
 
 
 def open_camera(
