@@ -14,7 +14,7 @@ A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open
 
 import difflib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
@@ -162,6 +162,18 @@ def find_driver(kind: Kind, name: str) -> Driver:
             f"mean; run 'pip uninstall {others[-1]}', or ask the author of that package to rename the driver"
         )
     return table[name][0]
+
+
+Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings | StageSettings | LoadCellSettings
+_OWN_KINDS: Final[Mapping[str, Kind]] = {kind: kind for kind in ("camera", "filter wheel", "stage", "load cell")}
+
+
+def device_title(role: str, settings: Settings) -> str:
+    """Return a device of a rig file with its driver, the driver's package where it is not ours, and its address."""
+    kind = _OWN_KINDS.get(role, "light")
+    labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
+    driver = labels[0] if len(labels) == 1 else settings.driver
+    return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"
 
 
 def driver_module(driver: Driver) -> ModuleType:

@@ -269,6 +269,7 @@ def test_the_contracts_run_on_a_rig_file_and_say_what_moves(grbl: Path, board: G
     )
     assert f"lamp: file (file-lights 0.1) at {tmp_path}/lamp; IS SWITCHED ON briefly" in done.stdout
     assert "stays off, without --with-laser" in done.stdout
+    assert "takes frames" not in done.stdout  # its tests are not among the selected ones
     assert "LASER NOT TESTED" in done.stdout
     assert re.search(r"10 passed, 6 skipped, 15 deselected", done.stdout), done.stdout
 
