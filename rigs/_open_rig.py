@@ -148,6 +148,7 @@ def rig_locked(rig: RigFile) -> Iterator[None]:
 
 def _keys_apart(rig: RigFile) -> Iterator[tuple[str, str, Settings]]:
     """Yield the name of each device of a rig once, with the role that has it; refuse two that cannot be one device."""
+    devices: dict[str, Settings]
     devices = {"camera": rig.camera, "filter wheel": rig.filter_wheel, "laser": rig.laser, "lamp": rig.lamp}
     holders: dict[str, str] = {}
     for role, device in devices.items():
@@ -612,7 +613,7 @@ def _wheel(rig: RigFile, folder: Path) -> Lines:
         position = wheel.position()
         if position is None:
             yield "position unknown: the wheel moves, is out of the beam, or nobody has confirmed a position"
-        elif not isinstance(position, int | np.integer):
+        elif not hasattr(position, "__index__"):
             yield Warned(f"its driver returns the position {position!r}, where the number of a slot or None is needed")
         else:
             yield f"at slot {position}, {f'filter {names[position]}' if position in names else 'which has no filter'}"
