@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         FoundDevice,
         Kind,
         detect,
+        device_title,
         driver_module,
         driver_notes,
         drivers_of_other_packages,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from rigs._open_rig import (
         OpenRig,
         device_locked,
-        device_title,
         inspect_rig,
         inspect_tactile_rig,
         open_rig,

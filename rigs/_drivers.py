@@ -14,18 +14,19 @@ A camera's module has ``open_camera(settings, folder)``, a filter wheel's ``open
 
 import difflib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
-from typing import Final, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar, cast
 
 from data_schemas import (
     NO_ADDRESS,
     CameraSettings,
+    CaptureError,
     FilterWheelSettings,
     LampSettings,
     LaserSettings,
@@ -163,6 +164,18 @@ def find_driver(kind: Kind, name: str) -> Driver:
     return table[name][0]
 
 
+Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings | StageSettings | LoadCellSettings
+_OWN_KINDS: Final[Mapping[str, Kind]] = {kind: kind for kind in ("camera", "filter wheel", "stage", "load cell")}
+
+
+def device_title(role: str, settings: Settings) -> str:
+    """Return a device of a rig file with its driver, the driver's package where it is not ours, and its address."""
+    kind = _OWN_KINDS.get(role, "light")
+    labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
+    driver = labels[0] if len(labels) == 1 else settings.driver
+    return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"
+
+
 def driver_module(driver: Driver) -> ModuleType:
     """Return the module of a driver, which has all that one of its kind must have.
 
@@ -228,7 +241,31 @@ def _opened(
         device = plug_in.call(lambda: stack.enter_context(opening(module)), when=" when it opens")
         if lacking := missing_members(device, protocol):
             raise plug_in.refusal(f"returns a device that lacks {', '.join(lacking)}")
-        yield device
+        yield device if driver.is_ours else cast("Device", _PackagedDevice(plug_in, device, protocol))
+
+
+class _PackagedDevice:
+    """A device of another package, whose errors name its driver and the method; errors of finray's own kinds pass."""
+
+    def __init__(self, plug_in: PlugIn, device: object, protocol: type) -> None:
+        self._plug_in, self._device, self._protocol = plug_in, device, protocol
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in dir(self._protocol):
+            return getattr(self._device, name)
+        found = self._named(name, lambda: getattr(self._device, name))
+        if not callable(found):
+            return found
+        return lambda *given, **named: self._named(f"{name}()", lambda: found(*given, **named))
+
+    def _named(self, what: str, function: Callable[[], Any]) -> Any:
+        try:
+            return self._plug_in.call(function, when=f" in {what}")
+        except OSError as error:  # of a broken cable as of a mistake: a driver tells the two apart
+            raise CaptureError(
+                f"{self._plug_in.label} fails in {what} ({type(error).__name__}: {error}); check the device and its "
+                f"cable ({HOW_TO})"
+            ) from error
 
 
 def open_camera(

@@ -33,21 +33,25 @@ from data_schemas import (
     CameraSettings,
     CaptureError,
     DeviceIdentity,
-    FilterWheelSettings,
     FinrayError,
-    LampSettings,
-    LaserSettings,
     LoadCellSettings,
     PracticeFault,
     RefusedError,
     RigFile,
     SpectralCurve,
-    StageSettings,
     TactileRig,
     coverage_notes,
 )
 from data_schemas.storage import camera_response, lamp_curve, read_filter_curves
-from rigs._drivers import Kind, driver_notes, offered, open_camera, open_lamp, open_laser, open_wheel
+from rigs._drivers import (
+    Settings,
+    device_title,
+    driver_notes,
+    open_camera,
+    open_lamp,
+    open_laser,
+    open_wheel,
+)
 from rigs._protocols import Camera, Clock, FilterWheel, Light, Operator, SystemClock, TerminalOperator
 from rigs.light_guard import GuardedLight, LightMeter, off_lines, open_photodiode
 from rigs.transports import indi_address, port_advice
@@ -136,26 +140,27 @@ def rig_locked(rig: RigFile) -> Iterator[None]:
     RefusedError
         Two addresses of the rig lead to one device that cannot be both.
     """
-    devices = {
-        "camera": (rig.camera.driver, rig.camera.address),
-        "filter wheel": (rig.filter_wheel.driver, rig.filter_wheel.address),
-        "laser": (rig.laser.driver, rig.laser.address),
-        "lamp": (rig.lamp.driver, rig.lamp.address),
-    }
-    holders: dict[str, str] = {}
     with ExitStack() as stack:
-        for role, (driver, address) in devices.items():
-            keys = _keys_to_lock(driver, address)
-            for holder in {holders[key] for key in keys & holders.keys()}:
-                if driver != "indi" or {holder, role} == {"laser", "lamp"}:
-                    raise RefusedError(
-                        f"{holder} at {devices[holder][1]} and {role} at {address} are the same device; "
-                        "correct the address of one of them in the rig file"
-                    )
-            for key in sorted(keys - holders.keys()):
-                stack.enter_context(_locked(key, role, driver, address))
-            holders |= dict.fromkeys(keys, role)
+        for key, role, device in _keys_apart(rig):
+            stack.enter_context(_locked(key, role, device.driver, device.address))
         yield
+
+
+def _keys_apart(rig: RigFile) -> Iterator[tuple[str, str, Settings]]:
+    """Yield the name of each device of a rig once, with the role that has it; refuse two that cannot be one device."""
+    devices: dict[str, Settings]
+    devices = {"camera": rig.camera, "filter wheel": rig.filter_wheel, "laser": rig.laser, "lamp": rig.lamp}
+    holders: dict[str, str] = {}
+    for role, device in devices.items():
+        keys = _keys_to_lock(device.driver, device.address)
+        for holder in {holders[key] for key in keys & holders.keys()}:
+            if device.driver != "indi" or {holder, role} == {"laser", "lamp"}:
+                raise RefusedError(
+                    f"{holder} at {devices[holder].address} and {role} at {device.address} are the same device; "
+                    "correct the address of one of them in the rig file"
+                )
+        yield from ((key, role, device) for key in sorted(keys - holders.keys()))
+        holders |= dict.fromkeys(keys, role)
 
 
 @contextmanager
@@ -391,8 +396,6 @@ def _simulated_sensor(camera: CameraSettings, seed: int) -> "Sensor":
 
 
 T = TypeVar("T")
-Settings = CameraSettings | FilterWheelSettings | LaserSettings | LampSettings | StageSettings | LoadCellSettings
-_OWN_KINDS: Final[Mapping[str, Kind]] = {kind: kind for kind in ("camera", "filter wheel", "stage", "load cell")}
 
 
 def open_rig_camera(rig: RigFile | TactileRig, folder: Path) -> AbstractContextManager[Camera]:
@@ -484,6 +487,9 @@ def inspect_rig(rig: RigFile, folder: Path) -> Iterator[PartReport]:
     yield _device("filter wheel", rig.filter_wheel, lambda: _wheel(rig, folder))
     yield _device("camera", rig.camera, lambda: _camera(open_rig_camera(rig, folder), rig.camera))
     yield _report("filters and curves", lambda: _curves(rig, folder))
+    shared = _report("addresses", lambda: (key for key, _, _ in _keys_apart(rig)))
+    if shared.error is not None:
+        yield replace(shared, lines=())
 
 
 def inspect_tactile_rig(rig: TactileRig, folder: Path) -> Iterator[PartReport]:
@@ -542,14 +548,6 @@ def _cell(rig: TactileRig, folder: Path) -> Lines:
                 yield Warned(
                     "all ten readings have the same count, so the load cell is stuck; check amplifier and wiring"
                 )
-
-
-def device_title(role: str, settings: Settings) -> str:
-    """Return a device of a rig file with its driver, the driver's package where it is not ours, and its address."""
-    kind = _OWN_KINDS.get(role, "light")
-    labels = [driver.label for driver in offered(kind).get(settings.driver, ())]
-    driver = labels[0] if len(labels) == 1 else settings.driver
-    return f"{role}: {driver}{f' at {settings.address}' if settings.address else ''}"
 
 
 def _device(role: str, settings: Settings, look: Callable[[], Lines]) -> PartReport:
@@ -615,6 +613,8 @@ def _wheel(rig: RigFile, folder: Path) -> Lines:
         position = wheel.position()
         if position is None:
             yield "position unknown: the wheel moves, is out of the beam, or nobody has confirmed a position"
+        elif not hasattr(position, "__index__"):
+            yield Warned(f"its driver returns the position {position!r}, where the number of a slot or None is needed")
         else:
             yield f"at slot {position}, {f'filter {names[position]}' if position in names else 'which has no filter'}"
         yield "slots: " + ", ".join(f"{slot} {names.get(slot, '(none)')}" for slot in wheel.slots)

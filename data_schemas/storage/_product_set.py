@@ -416,7 +416,8 @@ class ProductSet:
                 break
             os.close(handle)
         self._set_files[path.parent] = set_file, handle
-        os.write(handle, json.dumps({"token": self._token}).encode() + b"\n")
+        with naming_file(path):
+            os.write(handle, json.dumps({"token": self._token}).encode() + b"\n")
 
     def _store(self) -> None:
         """Give the names, the commit last; what comes before is on the disk by then."""

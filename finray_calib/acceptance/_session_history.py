@@ -470,6 +470,8 @@ class History:
         What has no chart, and why: too few sessions, or a reference without scatter.
     false_alarm_share, false_alarm_share_each
         Share of the sessions with nothing wrong that raise any alarm, and of one quantity.
+    newest_utc
+        When the newest session was captured, ISO 8601; empty without sessions.
     """
 
     verdict: Verdict
@@ -479,6 +481,7 @@ class History:
     waiting: tuple[str, ...]
     false_alarm_share: float
     false_alarm_share_each: float
+    newest_utc: str
 
 
 def session_history(
@@ -530,8 +533,9 @@ def session_history(
     reasons = _reasons(watched, ordered, since)
     judged = any(len(one.sessions) > reference for one in watched)
     verdict: Verdict = "OUT OF CONTROL" if reasons else "IN CONTROL" if judged else "UNDECIDED"
+    newest_utc, ledger = ordered[-1].captured_utc if ordered else "", _ledger(ordered)
     return History(
-        verdict, reasons, tuple(watched), _ledger(ordered), waiting, false_alarm_share, false_alarm_share_each
+        verdict, reasons, tuple(watched), ledger, waiting, false_alarm_share, false_alarm_share_each, newest_utc
     )
 
 

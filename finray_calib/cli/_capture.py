@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_command, wrote
+from finray_calib.cli._output import Progress, give, guide, progress_bar, say, suggest_command, warn, wrote
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         TactileSession,
     )
     from rigs import Operator
-    from rigs.capture import Interrupted, SessionRequest, SessionWatch, StatedTimes
+    from rigs.capture import Forecast, Interrupted, SessionRequest, SessionWatch, StatedTimes
 
 
 CAPTURE_HELP = "capture a paint sample through filters, the frames that characterise a camera, or presses on a finger"
@@ -227,11 +227,12 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         steps = paint_steps(plan, rig)
     with naming(CaptureError, arguments.rig):
         require_outside_layer(rig.laser)
+    expected, folder = forecast(plan, rig, steps), arguments.out or Path(f"{file_name(plan.paint_name)}-session")
+    _warn_of_space(folder, expected)
     if arguments.dry_run:
         nobody = AbsentOperator()
         with rig_locked(rig), open_rig(rig, arguments.rig.parent, nobody) as opened:
             require_ready(opened, steps)
-        expected = forecast(plan, rig, steps)
         give(
             steps=expected.steps, most_frames=expected.most_frames, disk_bytes=expected.disk_bytes,
             typical_s=expected.typical_s, longest_s=expected.longest_s, recovery_s=expected.healing_s,
@@ -246,9 +247,8 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         suggest_command("finray capture", arguments.plan, "--rig", arguments.rig)
         return
     last_good = None if arguments.like is None else read_session(arguments.like)
-    out = require_new_session(arguments.out or Path(f"{file_name(plan.paint_name)}-session"))
+    out = require_new_session(folder)
     sources = input_digests([arguments.plan, arguments.rig])
-    expected = forecast(plan, rig, steps)
     stated = _stated(expected.typical_s, expected.longest_s, expected.healing_s)
     with interruptible(out), arguments.attend(rig, plan, out) as attended:
         request = replace(attended, progress=_told_first(stated, attended.progress)).request(
@@ -256,6 +256,15 @@ def capture_paint(arguments: argparse.Namespace) -> None:
         )
         session = capture_paint_session(rig, plan, request, last_good=last_good, mend=attended.mend)
     _report(out, session, plan.paint_name)
+
+
+def _warn_of_space(folder: Path, expected: "Forecast") -> None:
+    """Refuse a disk that cannot hold a frame of each step, and warn of one that may not hold all exposures of them."""
+    from rigs.capture import space_warning
+
+    least_bytes = expected.disk_bytes * (expected.steps + 1) // expected.most_frames
+    if (text := space_warning(folder, least_bytes, expected.disk_bytes)) is not None:
+        warn(f"warning: {text}")
 
 
 def _stated(typical_s: float, longest_s: float, healing_s: float) -> str:
@@ -327,7 +336,15 @@ KINDS: dict[str, Callable[[argparse.Namespace], None]] = {
 def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
     """Go on with an interrupted session."""
     from data_schemas import CaptureError
-    from rigs.capture import complete_session, is_tactile, lacks_manifest, read_interrupted, read_session
+    from rigs.capture import (
+        complete_session,
+        is_tactile,
+        lacks_manifest,
+        read_interrupted,
+        read_session,
+        require_unfinished,
+        unvouched_files,
+    )
 
     if lacks_manifest(folder):
         complete_session(folder)
@@ -335,6 +352,7 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
         wrote(folder, done)
         give(notes=[done])
         return
+    require_unfinished(folder)
     tactile = is_tactile(folder)
     interrupted = None if tactile else read_interrupted(folder)
     if like is not None and (interrupted is None or interrupted.kind != "paint"):
@@ -348,6 +366,11 @@ def resume(folder: Path, like: Path | None, attend: "Attend") -> None:
             "again from the beginning"
         )
     say(f"{folder}: {len(interrupted.frames)} frames are stored and unchanged")
+    aside = [file for file in unvouched_files(folder, interrupted) if not file.name.startswith(".")]
+    if aside:
+        files = "1 other file" if len(aside) == 1 else f"{len(aside)} other files"
+        say(f"  {files} of frames/ set aside, in set-aside/; what they show is taken again where it is missing:")
+        say("  changed, not in the journal, or taken without light and not proven by a later frame in light")
     if interrupted.doubt:
         say("  all steps are metered again, because a frame differed from its metering in brightness or colour;")
         say("  frames that the repaired rig cannot reproduce are set aside and taken again")

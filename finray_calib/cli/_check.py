@@ -393,7 +393,9 @@ def run_history(arguments: argparse.Namespace) -> int:
         found = session_history(facts, arguments.reference, arguments.false_alarms, arguments.cleared)
     _say_history(found, len(facts))
     if page is not None:
-        write_bytes(page, history_page(found, str(arguments.folder), arguments.reference).encode())
+        folder: Path = arguments.folder
+        title = str(folder.resolve() if folder.name in ("", "..") else folder)
+        write_bytes(page, history_page(found, title, arguments.reference).encode())
         wrote(page, "the charts")
         suggest_file(page)
     give(verdict=found.verdict, reasons=found.reasons, charts=found.watched, ledger=found.ledger, waiting=found.waiting)
@@ -404,12 +406,15 @@ def _facts(folder: Path) -> "list[SessionFacts]":
     """Reduce the paint sessions below a folder."""
     from data_schemas import CaptureError
     from finray_calib.acceptance import session_facts
-    from rigs.capture import read_frame_of, read_session, session_kind
+    from rigs.capture import JOURNAL_NAME, SESSION_NAME, read_frame_of, read_session, session_kind
 
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "no such folder"
         raise CaptureError(f"{folder}: {what}; give the folder that holds the session folders of 'finray capture'")
     places = sorted({path.parent for pattern in DEPTHS for path in folder.glob(pattern)})
+    journals = {path.parent for pattern in DEPTHS for path in folder.glob(pattern.replace(SESSION_NAME, JOURNAL_NAME))}
+    for place in sorted(journals - set(places)):
+        warn(f"note: {place}: its capture was not finished, so that this session is left out")
     paint = [place for place in places if session_kind(place) == "paint"]
     if not paint:
         raise CaptureError(

@@ -316,6 +316,7 @@ def run_show(arguments: argparse.Namespace) -> None:
     say(name)
     given = []
     failed = []
+    told: dict[str, str] = {}
     for part in parts:
         error = None if part.error is None else str(part.error)
         given.append({"title": part.title, "lines": part.lines, "warnings": part.warnings, "error": error})
@@ -324,8 +325,9 @@ def run_show(arguments: argparse.Namespace) -> None:
             say(f"  {line}")
         for warning in part.warnings:
             say(f"  warning: {warning}")
-        if part.error is not None:
-            say(f"  ERROR: {part.error}")
+        if error is not None:
+            say(f"  ERROR: {f'the same as of {told[error]}, above' if error in told else error}")
+            told.setdefault(error, part.title)
             failed.append(part.title)
     give(rig_name=name, parts=given)
     if failed:

@@ -277,13 +277,14 @@ def input_digests(paths: Iterable[Path]) -> dict[str, str]:
 @contextmanager
 def interruptible(out: Path) -> Iterator[None]:
     """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
-    from rigs.capture import JOURNAL_NAME, SESSION_NAME, lacks_manifest
+    from data_schemas.storage import MANIFEST_NAME
+    from rigs.capture import JOURNAL_NAME
 
     with ended_by_signals():
         try:
             yield
         except (KeyboardInterrupt, FinrayError, OSError):
-            if (out / JOURNAL_NAME).exists() and (not (out / SESSION_NAME).exists() or lacks_manifest(out)):
+            if (out / JOURNAL_NAME).exists() and not (out / MANIFEST_NAME).exists():
                 warn(f"{out}: holds what was captured so far; continue with: finray capture --resume {out}")
             raise
 

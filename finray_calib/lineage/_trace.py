@@ -103,9 +103,12 @@ class Tracer:
     ----------
     working
         Directory in which recorded names may start beside the folders of the record.
+    moved_sessions
+        Whether the files that a session read may be elsewhere: its record holds their content.
     """
 
-    def __init__(self, working: Path | None = None):
+    def __init__(self, working: Path | None = None, *, moved_sessions: bool = False):
+        self._moved_sessions = moved_sessions
         self._working = Path.cwd() if working is None else working
         self._digests: dict[Path, str] = {}
         self._traced: dict[Path, Traced] = {}
@@ -221,6 +224,8 @@ class Tracer:
                 return replace(found, notes=(f"found by its SHA-256 as {file}", *found.notes))
         if named:
             return self._traced_file(name, named[0], digest, provenance)
+        if self._moved_sessions and path.name == SESSION_NAME:  # which holds plan, rig and curves itself
+            return Traced(name, None, "file", notes=(f"not found; {SESSION_NAME} holds what was read from it",))
         missing = FileFault(path.parent / name, "missing", f"is missing; {path.name} was made from it")
         return Traced(name, None, "file", (missing,))
 
@@ -344,7 +349,7 @@ def verify_folder(folder: Path) -> FolderCheck:
             f"{folder}: {what} give the folder of a session or of products, or a zip archive of such a folder"
         )
     folder = inside
-    tracer, records = Tracer(), list[Traced]()
+    tracer, records = Tracer(moved_sessions=True), list[Traced]()
     faults: dict[FileFault, None] = {}
     notes: dict[str, None] = {}
     for path in _visible(folder):

@@ -223,7 +223,7 @@ def history_page(history: History, folder: str, reference: int) -> str:
         Sessions of the reference.
     """
     groups = dict.fromkeys(one.of for one in history.watched)
-    newest = max((one.captured_utc[-1] for one in history.watched), default=NO_VALUE)
+    newest = history.newest_utc or NO_VALUE
     alarms = sum(len({alarm.place for alarm in one.chart.alarms}) for one in history.watched)
     key_numbers = (
         KeyNumber("Alarms", f"{alarms} in {len(history.watched)} charts",

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
         open_tactile_rig,
         read_cell_calibration,
     )
+    from rigs.capture._frame_store import space_warning
     from rigs.capture._journal import JOURNAL_NAME, StatedTimes, read_journal
-    from rigs.capture._paint_session import capture_paint_session, forecast
+    from rigs.capture._paint_session import Forecast, capture_paint_session, forecast
     from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
-    from rigs.capture._resume import Interrupted, read_interrupted
+    from rigs.capture._resume import Interrupted, read_interrupted, unvouched_files
     from rigs.capture._session_folder import (
         SESSION_KINDS,
         SESSION_NAME,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         read_camera_session,
         read_frame_of,
         read_session,
+        require_unfinished,
         session_kind,
         verify_session,
     )
@@ -61,6 +63,7 @@ __all__ = [
     "SESSION_NAME",
     "WHEEL_DEADLINE_S",
     "ForceGauge",
+    "Forecast",
     "Interrupted",
     "OpenTactileRig",
     "SessionRequest",
@@ -96,9 +99,12 @@ __all__ = [
     "record_press_facts",
     "require_pressable",
     "require_ready",
+    "require_unfinished",
     "session_bytes",
     "session_kind",
+    "space_warning",
     "stated_times",
     "tactile_shots",
+    "unvouched_files",
     "verify_session",
 ]

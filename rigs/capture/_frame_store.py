@@ -405,12 +405,46 @@ def require_space(folder: Path, needed_bytes: int) -> None:
     CaptureError
         There is not enough free space.
     """
-    free_bytes, needed_bytes = shutil.disk_usage(folder).free, round(SPACE_FACTOR * needed_bytes)
+    free_bytes, needed_bytes = _free_bytes(folder), round(SPACE_FACTOR * needed_bytes)
     if free_bytes < needed_bytes:
         raise CaptureError(
             f"{folder}: the frames need {needed_bytes / 1e6:.0f} MB, but only {free_bytes / 1e6:.0f} MB are "
             "free; free space or choose another --out"
         )
+
+
+def space_warning(folder: Path, least_bytes: int, most_bytes: int) -> str | None:
+    """Return what to say before metering, which tells how many frames there are, of a disk that may be too full.
+
+    Parameters
+    ----------
+    folder
+        Of the session; it need not be there yet.
+    least_bytes, most_bytes
+        What its frames take.
+
+    Raises
+    ------
+    CaptureError
+        There is not even space for the least.
+    """
+    free_bytes = _free_bytes(folder)
+    least_bytes, most_bytes = round(SPACE_FACTOR * least_bytes), round(SPACE_FACTOR * most_bytes)
+    if free_bytes >= most_bytes:
+        return None
+    text = (
+        f"{folder}: the frames need {least_bytes / 1e6:.0f} to {most_bytes / 1e6:.0f} MB, but only "
+        f"{free_bytes / 1e6:.0f} MB are free; free space or choose another --out"
+    )
+    if free_bytes < least_bytes:
+        raise CaptureError(text)
+    return text
+
+
+def _free_bytes(folder: Path) -> int:
+    """Return the free space of the disk that holds a folder, or will hold it."""
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    return shutil.disk_usage(there).free
 
 
 def _frame_file(number: int, step: Step, exposure_s: float) -> str:

@@ -299,7 +299,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
             f"{folder}: another capture has continued this session in the meantime; check what it stored"
         )
     clear_session(folder)
-    set_aside(folder, {frame.file for frame in interrupted.frames.values()})
+    _move_aside(folder, unvouched_files(folder, interrupted))
 
 
 def rig_as_it_is(rig: RigFile, rig_folder: Path, sources: Mapping[str, str]) -> tuple[RigFile, dict[str, str]]:
@@ -364,12 +364,23 @@ def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[in
 
 def set_aside(folder: Path, known: set[str]) -> None:
     """Move frame files that are not `known` out of the way; nothing is deleted."""
-    for path in sorted((folder / "frames").glob("*")):
-        if path.relative_to(folder).as_posix() not in known:
-            aside = folder / ORPHANS
-            aside.mkdir(exist_ok=True)
-            count = len(list(aside.iterdir()))
-            path.rename(aside / f"{count:04d}_{path.name.lstrip('.')}")
+    _move_aside(folder, _unknown(folder, known))
+
+
+def unvouched_files(folder: Path, interrupted: Interrupted) -> list[Path]:
+    """Return the files among the frames of an interrupted session that nothing vouches for."""
+    return _unknown(folder, {frame.file for frame in interrupted.frames.values()})
+
+
+def _unknown(folder: Path, known: set[str]) -> list[Path]:
+    return [path for path in sorted((folder / "frames").glob("*")) if path.relative_to(folder).as_posix() not in known]
+
+
+def _move_aside(folder: Path, files: Iterable[Path]) -> None:
+    aside = folder / ORPHANS
+    for path in files:
+        aside.mkdir(exist_ok=True)
+        path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")
 
 
 def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> None:

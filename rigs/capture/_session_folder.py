@@ -228,6 +228,27 @@ def lacks_manifest(out: Path) -> bool:
     return (out / SESSION_NAME).is_file() and not (out / MANIFEST_NAME).exists()
 
 
+def require_unfinished(folder: Path) -> None:
+    """Refuse to resume a session that was complete and lost its record since; nothing is written.
+
+    Raises
+    ------
+    CaptureError
+        Its checksums are there and its record is not.
+    """
+    if _has_lost_its_record(folder):
+        raise CaptureError(f"{folder}: {_LOST}")
+
+
+def _has_lost_its_record(folder: Path) -> bool:
+    return (folder / MANIFEST_NAME).is_file() and not has_file(folder / SESSION_NAME)
+
+
+_LOST: Final = (
+    f"was complete ({MANIFEST_NAME} is there), but {SESSION_NAME} is missing; restore it from a copy of the session. "
+    f"Without a copy, delete {MANIFEST_NAME} and run 'finray capture --resume' on the same rig, which writes "
+    f"{SESSION_NAME} anew from the journal and the frames"
+)
 SessionKind = Literal["paint", "camera"]
 KINDS: dict[str, SessionKind] = {CaptureSession.__name__: "paint", CameraSession.__name__: "camera"}
 
@@ -278,6 +299,8 @@ def _session_file(folder: Path) -> Path:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "no such folder"
         raise RecordError(f"{folder}: {what}; give the folder that 'finray capture' wrote")
+    if _has_lost_its_record(folder):
+        raise RecordError(f"{folder}: {_LOST}")
     if (folder / JOURNAL_NAME).is_file():
         raise RecordError(
             f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} "

@@ -95,30 +95,39 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """Say what is tested, and what will move and shine."""
+    """Say what is tested."""
+    return [f"rig: {config.stash[RIG].rig.name}"] if RIG in config.stash else []
+
+
+def pytest_report_collectionfinish(config: pytest.Config, items: list[pytest.Item]) -> list[str]:
+    """Say what the selected tests will move and light."""
     if RIG not in config.stash:
         return []
+    classes = {found.name for item in items if item.path == HERE / SUITE and (found := item.getparent(pytest.Class))}
+    return [line for of, line in _announced(config) if of in classes]
+
+
+def _announced(config: pytest.Config) -> Iterator[tuple[str, str]]:
+    """Yield each class of the suite with what it does to its device."""
     from data_schemas import RigFile
     from rigs import device_title
 
     rig, _ = config.stash[RIG]
-    lines = [f"rig: {rig.name}", f"{device_title('camera', rig.camera)}; takes frames, and its exposure is changed"]
-    if not isinstance(rig, RigFile):
-        if rig.stage is not None and rig.load_cell is not None:
-            lines += [
-                f"{device_title('stage', rig.stage)}; IS HOMED and MOVES some steps from clear_mm: keep hands away",
-                f"{device_title('load cell', rig.load_cell)}; is read",
-            ]
-        return lines
-    laser = rig.laser
-    label = f"{laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
-    shines = "IS SWITCHED ON; close the box, wear goggles" if _may_shine(config) else "stays off, without --with-laser"
-    return [
-        *lines,
-        f"{device_title('filter wheel', rig.filter_wheel)}; TURNS through all of its slots",
-        f"{device_title('lamp', rig.lamp)}; IS SWITCHED ON briefly",
-        f"{device_title('laser', laser)} ({label}); {shines}",
-    ]
+    yield "TestCamera", f"{device_title('camera', rig.camera)}; takes frames, and its exposure is changed"
+    if isinstance(rig, RigFile):
+        laser = rig.laser
+        label = f"{laser.wavelength_nm:g} nm, {laser.power_mw:g} mW, class {laser.laser_class}"
+        shines = (
+            "IS SWITCHED ON; close the box, wear goggles" if _may_shine(config) else "stays off, without --with-laser"
+        )
+        wheel = device_title("filter wheel", rig.filter_wheel)
+        yield "TestFilterWheel", f"{wheel}; TURNS through all of its slots"
+        yield "TestLamp", f"{device_title('lamp', rig.lamp)}; IS SWITCHED ON briefly"
+        yield "TestLaser", f"{device_title('laser', laser)} ({label}); {shines}"
+    elif rig.stage is not None and rig.load_cell is not None:
+        stage, cell = device_title("stage", rig.stage), device_title("load cell", rig.load_cell)
+        yield "TestStage", f"{stage}; IS HOMED and MOVES some steps from clear_mm: keep hands away"
+        yield "TestLoadCell", f"{cell}; is read"
 
 
 def _may_shine(config: pytest.Config) -> bool:

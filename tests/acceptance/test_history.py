@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -226,6 +227,24 @@ def test_command(lab, tmp_path, capsys):
     assert main(["history", str(lab), "--reference", "6", "--report", str(page)]) == 2
     assert main(["history", str(lab)]) == 0
     assert "7 of the 10 sessions" in capsys.readouterr().out
+
+
+def test_a_page_of_few_sessions_names_folder_and_newest_session_and_an_unfinished_one_is_told(
+    lab, tmp_path, capsys, monkeypatch
+):
+    for name in ("s0", "s1"):
+        shutil.copytree(lab / name, tmp_path / name)
+    (tmp_path / "s2").mkdir()
+    shutil.copy(lab / "s2" / "journal.jsonl", tmp_path / "s2")
+    monkeypatch.chdir(tmp_path)
+    assert main(["history", ".", "--report", "history.html"]) == 0
+    told = capsys.readouterr()
+    assert told.out.startswith("UNDECIDED: 2 sessions")
+    assert "note: s2: its capture was not finished, so that this session is left out" in told.err
+    page = (tmp_path / "history.html").read_text()
+    assert str(tmp_path) in re.search(r"<title>(.*?)</title>", page, re.DOTALL)[1]
+    newest = max(read_session(tmp_path / name).frames[0].captured_utc for name in ("s0", "s1"))
+    assert newest[:10] in re.search(r"Newest session.{0,200}", page, re.DOTALL)[0]
 
 
 def test_a_folder_without_sessions(tmp_path, capsys):

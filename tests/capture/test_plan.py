@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from data_schemas import CaptureError, PaintPlan, RegionOfInterest, RigFile
 from rigs.capture import paint_steps
-from rigs.capture._plan import with_repeat
+from rigs.capture._plan import metering_room_dn, with_repeat
 
 
 def changed(plan: PaintPlan, **fields: object) -> PaintPlan:
@@ -63,6 +63,21 @@ def test_plan_that_does_not_fit_the_rig_is_refused(
 ) -> None:
     with pytest.raises(CaptureError, match=message):
         paint_steps(changed(plan, **fields), rig)
+
+
+@pytest.mark.parametrize("black_level_dn", [0.7 * 1023, 720.0])
+def test_a_black_level_that_leaves_no_room_for_metering_is_refused(
+    plan: PaintPlan, rig: RigFile, black_level_dn: float
+) -> None:
+    """At the target itself too, where no light is left to meter; just below it there is some."""
+    camera = rig.camera.model_copy(update={"black_level_dn": black_level_dn, "bit_depth": 10})
+    with pytest.raises(
+        CaptureError, match=r"black_level_dn = 7\d\d?.* DN must be below target_fraction = 0\.7 of full"
+    ):
+        paint_steps(changed(plan, target_fraction=0.7), rig.model_copy(update={"camera": camera}))
+    below = camera.model_copy(update={"black_level_dn": 700.0})
+    assert paint_steps(changed(plan, target_fraction=0.7), rig.model_copy(update={"camera": below}))
+    assert metering_room_dn(0.7, 1023, 700.0) == pytest.approx(16.1)
 
 
 def test_tilted_steps_come_last_and_say_their_tilt(plan: PaintPlan, rig: RigFile) -> None:

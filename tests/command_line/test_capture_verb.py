@@ -1,6 +1,7 @@
 """``finray capture``: dry run, interruption by signals, resuming, a session like an earlier one."""
 
 import io
+import json
 import os
 import re
 import shutil
@@ -16,10 +17,11 @@ from data_schemas import LampSettings, LaserSettings, RigFile
 from data_schemas.storage import read_toml
 from rigs import write_rig
 from rigs.capture import read_session, verify_session
+from rigs.simulated import SimulatedLight
 from tests.capture.drivers import file_switch
 from tests.capture.drivers.programs import free_port
 from tests.capture.drivers.thorlabs_wheel import emulated_wheel
-from tests.command_line.running import finray, succeed
+from tests.command_line.running import edit, finray, succeed
 
 
 def mistake(arguments: str) -> str:
@@ -55,6 +57,108 @@ def test_dry_run_needs_nobody(lab: Path, tmp_path: Path, monkeypatch: pytest.Mon
     assert (outcome.status, outcome.err) == (0, "")
     assert "you will be asked during the capture: Switch the lamp off.\n" in outcome.out
     assert "nothing was moved, lit or stored" in outcome.out
+
+
+@pytest.mark.parametrize("how", ["--dry-run", ""])
+def test_a_disk_that_is_too_small_is_told_before_anything_is_lit(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    def forbidden(*_: object) -> None:
+        raise AssertionError("nothing may be lit")
+
+    monkeypatch.setattr(SimulatedLight, "lit", forbidden)
+    monkeypatch.setattr("rigs.capture._frame_store._free_bytes", lambda folder: 3_000_000)
+    said = mistake(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/new/out {how}")
+    assert re.search(r"new/out: the frames need 5 to \d+ MB, but only 3 MB are free; free space or choose", said), said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_may_be_too_small_is_no_reason_to_refuse(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rigs.capture._frame_store._free_bytes", lambda folder: 8_000_000)
+    outcome = finray(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/out --dry-run")
+    assert outcome.status == 0
+    assert "MB, but only 8 MB are free" in outcome.err
+    monkeypatch.undo()
+    assert finray(f"capture {lab}/plan.toml --rig {lab}/rig.toml --out {tmp_path}/out --dry-run").err == ""
+
+
+@pytest.mark.parametrize("how", ["--dry-run", ""])
+def test_a_black_level_above_the_target_is_refused_in_one_sentence(lab: Path, tmp_path: Path, how: str) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text((lab / "rig.toml").read_text())
+    edit(rig, "black_level_dn = 16", "black_level_dn = 720")
+    said = mistake(f"capture {lab}/plan.toml --rig {rig} --out {tmp_path}/out {how}")
+    assert re.search(
+        r"camera\.black_level_dn = 720 DN must be below target_fraction = 0\.7 of full scale \(1023 DN\)", said
+    )
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    """Return the content of all files of a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_record_that_was_lost_is_asked_for_and_can_be_written_anew(lab: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(lab / "session", out)
+    (out / "session.json").unlink()
+    before = everything(out)
+    for command in (f"capture --resume {out}", f"radiometry {out} --out {tmp_path}/bands.json"):
+        said = mistake(command)
+        assert "was complete (manifest-sha256.txt is there), but session.json is missing; restore it" in said
+        assert "continue with" not in said
+        assert everything(out) == before
+    (out / "manifest-sha256.txt").unlink()  # as the sentence says
+    succeed(f"capture --resume {out}")
+    assert not verify_session(out).faults
+    assert read_session(out).frames == read_session(lab / "session").frames
+
+
+def test_resume_says_what_it_sets_aside(lab: Path, tmp_path: Path) -> None:
+    """Of a session that ended after nine dark frames, before a frame in light showed how the camera exposed."""
+    out = tmp_path / "out"
+    shutil.copytree(lab / "session", out)
+    for name in ("session.json", "manifest-sha256.txt"):
+        (out / name).unlink()
+    lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
+    ends = [number for number, line in enumerate(lines, 1) if json.loads(line)["event"] == "frame"]
+    (out / "journal.jsonl").write_text("".join(lines[: ends[8]]))
+    kept = {json.loads(lines[end - 1])["file"] for end in ends[:9]}
+    for path in (out / "frames").iterdir():
+        if path.relative_to(out).as_posix() not in kept:
+            path.unlink()
+    said = succeed(f"capture --resume {out}")
+    assert "0 frames are stored and unchanged\n  9 other files of frames/ set aside, in set-aside/" in said
+    assert len(list((out / "set-aside").iterdir())) == 9
+
+
+def test_a_session_that_was_moved_without_its_inputs_is_whole(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, moved = tmp_path / "made", tmp_path / "far" / "from" / "there" / "and" / "its" / "inputs"
+    made.mkdir()
+    for name in ("rig.toml", "plan.toml"):
+        shutil.copy(lab / name, made)
+    monkeypatch.chdir(made)
+    succeed("capture plan.toml --rig rig.toml --out session")
+    moved.mkdir(parents=True)
+    monkeypatch.chdir(moved)
+    shutil.copytree(made / "session", moved / "session")
+    outcome = finray("verify session")
+    assert outcome.status == 0, outcome.out
+    for name in ("plan.toml", "rig.toml"):
+        assert f"note: {name}: not found; session.json holds what was read from it" in outcome.out
+    assert re.search(r"session: unchanged: \d+ files", outcome.out)
+    assert finray("trace session/session.json").status == 1  # which asks for the files themselves
+    shutil.copy(made / "rig.toml", moved)
+    edit(moved / "rig.toml", "black_level_dn = 16", "black_level_dn = 17")
+    changed = finray("verify session")
+    assert changed.status == 1
+    assert "changed: " in changed.out  # a file of that name that is another one is still told
 
 
 @pytest.mark.rigs

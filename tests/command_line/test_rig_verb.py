@@ -19,12 +19,13 @@ from data_schemas import (
     LaserSettings,
     LostError,
     MissingExtraError,
+    RefusedError,
     RigFile,
     WhiteReference,
 )
 from data_schemas.storage import read_toml
 from finray_calib.cli._rig import choose
-from rigs import Driver, FoundDevice, Kind, detect, driver_module, offered, paper_rig, rig_toml
+from rigs import Driver, FoundDevice, Kind, detect, driver_module, offered, paper_rig, rig_locked, rig_toml
 from rigs.simulated import SimulatedFilterWheel, SimulatedLight
 from tests.capture.drivers.fake_gigevision_camera import fake_camera
 from tests.capture.drivers.firmware_in_qemu import build, firmware_board
@@ -261,12 +262,34 @@ def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, mon
     edit(tmp_path / "rig.toml", 'response = "assumed"', 'response = "missing.csv"')
     outcome = finray(f"rig show {tmp_path}/rig.toml")
     assert outcome.status == 2
-    assert "missing.csv" in outcome.err + outcome.out
+    assert outcome.out.count("missing.csv") == 1  # one cause is told once
+    assert outcome.out.count("ERROR: the same as of laser: simulated, above") == 4
     monkeypatch.setattr(SimulatedLight, "state", lambda self: True)
     monkeypatch.setattr(SimulatedFilterWheel, "position", lambda self: None)
     said = succeed(f"rig show {lab}/rig.toml")
     assert said.count("warning: reports ON although it was switched off") == 2
     assert "position unknown" in said
+    monkeypatch.setattr(SimulatedFilterWheel, "position", lambda self: "three")
+    said = succeed(f"rig show {lab}/rig.toml")
+    assert "its driver returns the position 'three', where the number of a slot or None is needed" in said
+    assert "at slot three" not in said
+
+
+def test_show_says_that_two_devices_share_a_port_in_the_words_of_a_capture(tmp_path: Path) -> None:
+    rig, port, link = (tmp_path / name for name in ("rig.toml", "port", "by-id"))
+    succeed(f"rig init --out {rig}")
+    edit(rig, 'driver = "aravis"', 'driver = "folder"')
+    edit(rig, '"SERIAL-NUMBER"', '"."')
+    port.touch()
+    link.symlink_to(port)
+    edit(rig, "/dev/ttyUSB0", str(port))
+    edit(rig, "/dev/ttyACM0", str(link))
+    outcome = finray(f"rig show {rig}")
+    assert outcome.status == 2
+    why = f"filter wheel at {port} and laser at {link} are the same device"
+    with pytest.raises(RefusedError, match=why) as refused, rig_locked(read_toml(rig, RigFile)):
+        pytest.fail("locked")
+    assert f"\naddresses\n  ERROR: {refused.value}\n" in outcome.out
 
 
 @pytest.mark.rigs

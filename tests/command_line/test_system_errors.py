@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from data_schemas import CameraSettings, FilterWheelSettings, FinrayError, system_words
-from data_schemas.storage import write_bytes
+from data_schemas.storage import ProductSet, write_bytes
 from finray_calib.cli import main as command
 from rigs import TerminalOperator, open_rig_camera, open_rig_laser, open_rig_wheel, paper_rig
 from tests.capture.drivers.programs import free_port
@@ -41,6 +41,10 @@ def test_a_file_that_the_disk_refuses_is_named(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(OSError, match="No space left on device") as raised:
         write_bytes(tmp_path / "rig.toml", b"name")
     assert raised.value.filename == str(tmp_path / "rig.toml")
+    with pytest.raises(OSError, match="No space left on device") as raised, ProductSet(tmp_path / "paint.json") as kept:
+        kept.add(tmp_path / "paint.json", b"{}")
+    assert raised.value.filename == str(tmp_path / "paint.json")
+    monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -269,6 +269,7 @@ def test_the_contracts_run_on_a_rig_file_and_say_what_moves(grbl: Path, board: G
     )
     assert f"lamp: file (file-lights 0.1) at {tmp_path}/lamp; IS SWITCHED ON briefly" in done.stdout
     assert "stays off, without --with-laser" in done.stdout
+    assert "takes frames" not in done.stdout  # its tests are not among the selected ones
     assert "LASER NOT TESTED" in done.stdout
     assert re.search(r"10 passed, 6 skipped, 15 deselected", done.stdout), done.stdout
 
@@ -328,6 +329,75 @@ def test_a_driver_that_is_not_as_it_must_be_is_refused_with_its_package(site: Pa
         open_wheel(wheel, Hands()),
     ):
         pytest.fail("opened")
+
+
+FAILING = """
+from contextlib import contextmanager
+from data_schemas import DeviceIdentity
+
+class Wheel:
+    slots = (1, 2, 3)
+    def identity(self): return DeviceIdentity(role="filter wheel", driver="failing")
+    def position(self): {fault}
+    def go_to(self, slot, deadline_s): {fault}
+
+@contextmanager
+def open_wheel(settings, operator):
+    yield Wheel()
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [
+        (
+            "return int('POS three')",
+            r"ValueError: invalid literal.*; update it \(pip install --upgrade failing-wheel\)",
+        ),
+        ("raise OSError('board gone')", r"OSError: board gone\); check the device and its cable"),
+        ("raise SystemExit(3)", r"SystemExit: 3\); update it"),
+    ],
+)
+def test_an_error_of_a_drivers_own_after_opening_names_device_and_method(
+    site: Path, tmp_path: Path, fault: str, why: str
+) -> None:
+    install(
+        site,
+        "failing-wheel",
+        {WHEELS: {"failing": "failing_wheel"}, LIGHTS: {"file": file_switch.__name__}},
+        failing_wheel=FAILING.replace("{fault}", fault),
+    )
+    named = rf"filter wheel: driver 'failing' of package failing-wheel 0\.1 fails in {{}}\(\) \({why}"
+    with open_wheel(wheel_of("failing", "1"), Hands()) as wheel:
+        assert wheel.slots == (1, 2, 3)
+        for method, act in (("position", wheel.position), ("go_to", lambda: wheel.go_to(1, 1.0))):
+            with pytest.raises(CaptureError, match=f"^{named.format(method)}"):
+                act()
+    rig = real_rig(tmp_path, wheel_of("failing", "1"), camera=CameraSettings(driver="folder", address="images"))
+    shown = finray(f"rig show {rig}")
+    assert shown.status == 2
+    assert re.search(f"ERROR: {named.format('position')}", shown.out), shown.out
+    assert "\nfilters and curves\n" in shown.out  # the other parts are shown all the same
+
+
+def test_a_session_whose_driver_fails_ends_with_the_lights_off(
+    grbl: Path, board: GrblBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exposures = []
+
+    def fail_in_light(camera: BenchCamera, exposure_s: float, deadline_s: float) -> RawFrame:
+        exposures.append((tmp_path / "laser" / "on").exists())
+        if exposures[-1]:
+            raise ZeroDivisionError("gain")
+        return expose(camera, exposure_s, deadline_s)
+
+    expose = BenchCamera.expose
+    monkeypatch.setattr(BenchCamera, "expose", fail_in_light)
+    why = r"camera: driver 'bench' of package bench-devices 0\.1 fails in expose\(\) \(ZeroDivisionError: gain\)"
+    with pytest.raises(RefusedError, match=why):
+        captured(grbl, tmp_path, board)
+    assert exposures[-1]
+    assert not any((tmp_path / light / "on").exists() for light in ("lamp", "laser"))
 
 
 def test_two_packages_of_one_name_are_refused_and_no_other_driver_is(site: Path) -> None:
