@@ -110,7 +110,7 @@ def test_repeatability_is_found_from_the_brackets():
 
 
 def test_steadiness_is_noted_only_where_it_was_measured():
-    """One exposure for each step and no dark frames measure neither; then the first is assumed and the second unsaid."""
+    """Without brackets the light is assumed, and without dark frames their drift is unsaid."""
     synthetic = synthetic_session(np.random.default_rng(3), repeatability_rel=0.01)
     steps = session_steps(*_parts(synthetic))
     assert any("from exposure brackets" in note for note in _steadiness_notes(synthetic.session, steps))
