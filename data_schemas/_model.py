@@ -460,6 +460,8 @@ PLAIN = {
     "finite_number": "must be a finite number",
 }
 """Kind of fault -> what it is in words that need no programming language."""
+OF_A_UNION = re.compile(r"(function-\w+|dict|tuple|list)\[.*\]|constrained-(float|int|str)")
+"""What pydantic puts into a location for the member of a union that it tried, which is no field."""
 PURE_NUMBER = re.compile(r"1( \(.*\))?")
 OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 
@@ -514,7 +516,8 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
 
 def _path(location: tuple[str | int, ...]) -> str:
     """Return ``filters (entry 1).center_nm``: people count from one."""
-    path = "".join(f" (entry {part + 1})" if isinstance(part, int) else f".{part}" for part in location)
+    named = [part for part in location if isinstance(part, int) or not OF_A_UNION.fullmatch(part)]
+    path = "".join(f" (entry {part + 1})" if isinstance(part, int) else f".{part}" for part in named)
     return path.removeprefix(".")
 
 

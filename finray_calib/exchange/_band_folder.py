@@ -191,6 +191,10 @@ def _words(image: BandImage) -> str:
 
 
 Floats = NDArray[np.float64]
+_BELOW_BLACK_SD = 5.0  # one channel in some million is so far off by chance
+_ROUNDING_DN = 0.5  # by which rounded counts without noise may lie below what they count
+WIDEST_LASER_NM = 60.0
+"""Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
 _SCENE: Mapping[str, tuple[Target, LightState]] = {
     "dark": ("white", "off"),
     "white": ("white", "lamp"),
@@ -309,14 +313,38 @@ def _common_shape(images: list[BandImage], description: BandFolder) -> tuple[int
     """Return the shape of all images (px), read one at a time; refuse images of different sizes."""
     first: tuple[int, ...] = ()
     for image in images:
-        shape = read_image(image.path, description.camera).shape
+        counts = read_image(image.path, description.camera)
+        shape = counts.shape
         first = first or shape
         if shape != first:
             raise ImportFormatError(
                 f"{image.path}: is {shape[0]} x {shape[1]} px, but {images[0].path.name} is {first[0]} x {first[1]} "
                 "px; take all images with the same camera settings"
             )
+        if not description.darks:
+            _require_not_below_black(image.path, counts, description)
     return first
+
+
+def _require_not_below_black(path: Path, counts: Counts, description: BandFolder) -> None:
+    """Refuse an image whose mean lies further below the declared black level than noise and uncertainty reach."""
+    camera, region = description.camera, description.region
+    rows = slice(region.row_px, region.row_px + region.height_px)
+    inside = counts[rows, region.column_px : region.column_px + region.width_px]
+    sites = [inside[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+    if not all(site.size for site in sites):  # beyond the frame, which radiometry refuses
+        return
+    lowest = min(sites, key=lambda site: float(site.mean()))
+    noise_dn = np.hypot(
+        camera.black_level_uncertainty_dn, camera.read_noise_e / camera.gain_e_per_dn / np.sqrt(lowest.size)
+    )
+    if lowest.mean() < camera.black_level_dn - _BELOW_BLACK_SD * noise_dn - _ROUNDING_DN:
+        raise ImportFormatError(
+            f"{path}: a channel's mean in the region is {lowest.mean():.1f} DN, below camera.black_level_dn = "
+            f"{camera.black_level_dn:g} DN by more than its uncertainty ({camera.black_level_uncertainty_dn:g} DN) "
+            "and the noise allow; correct black_level_dn (counts without light, after the shift by left_aligned_bits), "
+            "or replace the image"
+        )
 
 
 def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -> CaptureSession:
@@ -362,10 +390,16 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
 
 
 def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWheelSettings) -> None:
-    """Refuse an excitation filter whose band does not hold the laser line: its images would hold no laser light."""
+    """Refuse a source that is no line, and an excitation filter whose band does not hold the line."""
     chosen = next(one for one in wheel.filters if one.name == description.excitation_filter)
     low_nm, high_nm = chosen.center_nm - 0.5 * chosen.fwhm_nm, chosen.center_nm + 0.5 * chosen.fwhm_nm
     laser = description.laser
+    if laser.fwhm_nm > WIDEST_LASER_NM:
+        raise ImportFormatError(
+            f"{folder / DESCRIPTION_NAME}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
+            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
+            "half maximum in nm"
+        )
     if not low_nm - 0.5 * laser.fwhm_nm <= laser.wavelength_nm <= high_nm + 0.5 * laser.fwhm_nm:
         raise ImportFormatError(
             f"{folder / DESCRIPTION_NAME}: excitation_filter '{chosen.name}' passes {low_nm:g} to {high_nm:g} nm, but "

@@ -53,6 +53,8 @@ _HEIGHT_AT_YIELD, _HEIGHT_SD_REL = 0.15, 1.5
 _REFLECTANCE, _REFLECTANCE_SD = 0.2, 0.5
 _FIRST_PASS_SIZE = 0.15
 _NM_OF_KK = 1e4
+_TAIL_REACH = 1.5
+"""Of the tails beyond the learned positions, in widths; there they have fallen to 0.2 % of where they began."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ def _sampled(table: Floats, u: Floats, prototype: NDArray[np.int64], at: Floats)
 
 @lru_cache(maxsize=4)
 def _components(spectra_key: int, laser_nm: float, wavelengths: bytes) -> Components:
-    spectra, grid = _KNOWN[spectra_key], np.frombuffer(wavelengths)
+    spectra, grid = _continued(_KNOWN[spectra_key]), np.frombuffer(wavelengths)
     highest = _NM_OF_KK / (laser_nm + _ABOVE_LASER_NM)
     places = np.arange(_LOWEST_KK, highest, _PLACE_STEP_KK)
     prototype, mode, width, ln_share = [], [], [], []
@@ -205,6 +207,23 @@ def _components(spectra_key: int, laser_nm: float, wavelengths: bytes) -> Compon
     u = (_NM_OF_KK / grid - modes[:, None]) / widths[:, None]
     curves = _sampled(spectra.shapes, spectra.u, which, u) * (grid >= laser_nm)
     return Components(spectra, grid, laser_nm, which, modes, widths, np.concatenate(ln_share), curves)
+
+
+def _continued(spectra: MeasuredSpectra) -> MeasuredSpectra:
+    """Return the spectra with tails beyond the learned positions, as a Gaussian of the width of the curve falls.
+
+    A mean of paints with two maxima has not died out at the last position; cut there, it would put a step of a third
+    of its peak into the spectrum.
+    """
+    step = spectra.u[1] - spectra.u[0]
+    beyond = step * np.arange(1, round(_TAIL_REACH / step) + 1)
+    fall = np.exp2(-4 * beyond**2)
+
+    def with_tails(table: Floats) -> Floats:
+        return np.concatenate([table[:, :1] * fall[::-1], table, table[:, -1:] * fall], axis=1)
+
+    u = np.concatenate([spectra.u[0] - beyond[::-1], spectra.u, spectra.u[-1] + beyond])
+    return replace(spectra, u=u, shapes=with_tails(spectra.shapes), directions=with_tails(spectra.directions))
 
 
 _KNOWN: dict[int, MeasuredSpectra] = {}

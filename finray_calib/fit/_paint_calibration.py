@@ -210,6 +210,7 @@ def diagnostics(posterior: EmissionPosterior, check: ChainCheck | None) -> Diagn
 PAPER_FAMILY: Final = "zheng2014"
 PRIOR_DRAWS: Final = 2000
 CURVE_DRAWS: Final = 400
+_WIDE_LINE_NM: Final = 60.0  # an import refuses wider ones; rig files and stored signals may still hold them
 
 
 def calibrate_paint(
@@ -248,12 +249,37 @@ def calibrate_paint(
         family_named(options.family)
     refuse_unfit_lights(bands, other_lights)
     data = band_data(bands)
-    detection = detect_emission(bands, data, options.prior, seed)
-    if not detection.measured:
-        return _without_emission(bands, data, detection, options)
-    # of the whole process: two fits at the same time in threads of one process would hold each other up
-    with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small, and the families fill the cores
-        return _calibrate(bands, data, detection, np.random.default_rng(seed), options, other_lights, colour_match)
+    try:
+        detection = detect_emission(bands, data, options.prior, seed)
+        if not detection.measured:
+            return _without_emission(bands, data, detection, options)
+        # of the whole process: two fits at the same time in threads of one process would hold each other up
+        with threadpool_limits(limits=1, user_api="blas"):  # its matrices are small, and the families fill the cores
+            return _calibrate(bands, data, detection, np.random.default_rng(seed), options, other_lights, colour_match)
+    except np.linalg.LinAlgError:
+        raise FitError(f"the equations of the fit have no solution; {_likely_cause(bands, data)}") from None
+
+
+def _likely_cause(bands: BandSignals, data: BandData) -> str:
+    """Return which input most likely leaves the equations without a solution."""
+    laser, optics = bands.optics.laser, bands.optics
+    chosen = next((one for one in optics.filters if one.name == optics.excitation_filter), None)
+    if chosen is not None and abs(laser.wavelength_nm - chosen.center_nm) > 0.5 * (chosen.fwhm_nm + laser.fwhm_nm):
+        return (
+            f"the likely cause is the laser's wavelength of {laser.wavelength_nm:g} nm, which the excitation filter "
+            f"'{chosen.name}' ({chosen.center_nm:g} nm, {chosen.fwhm_nm:g} nm wide) does not pass; correct one of them"
+        )
+    if laser.fwhm_nm > _WIDE_LINE_NM:
+        return (
+            f"the likely cause is the laser's fwhm_nm of {laser.fwhm_nm:g} nm, within which all emission would lie; a "
+            f"laser has 1 to 5 nm and an LED at most {_WIDE_LINE_NM:g} nm"
+        )
+    kept_sd = np.sqrt(np.diag(data.covariance)[data.kept])
+    surest = optics.filters[data.weights.band_index[data.kept[np.argmin(kept_sd)]]]
+    return (
+        f"the likely cause is filter '{surest.name}', whose signals have the smallest standard deviation of all "
+        f"({kept_sd.min():.1g} of the white reference); check its curve, its exposures and the noise of the camera"
+    )
 
 
 def _without_emission(

@@ -31,7 +31,16 @@ from finray_calib.fit import BudgetRow
 from finray_calib.reports._fit_figures import budget_figure, emission_readings
 from finray_calib.reports._fit_statements import BUDGET_NAMES, budget_table
 from finray_calib.reports._page import KeyNumber, Light, ReportTable, drawing, one_group, render_page
-from finray_calib.reports._plain_text import NO_VALUE, decimals_for, fixed, percent, plain, probability, unbroken
+from finray_calib.reports._plain_text import (
+    NO_VALUE,
+    centre_text,
+    decimals_for,
+    fixed,
+    percent,
+    plain,
+    probability,
+    unbroken,
+)
 from finray_calib.reports._style import BLUE, HAIRLINE, MUTED, SKY, ReadableFigure, new_figure, readable, styled
 
 TEMPLATE: Final = "certificate.html.j2"
@@ -274,7 +283,7 @@ def _held(details: CertificateDetails, role: str) -> str:
 def _method(paint: PaintCalibration) -> str:
     """Say how it was measured."""
     optics = paint.optics
-    bands = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
+    bands = ", ".join(centre_text(band.center_nm) for band in optics.filters)
     return (
         f"A Bayer camera photographed the sample under a laser of {optics.laser.wavelength_nm:g} nm, and the white "
         f"reference under lamp and laser, through filters at {bands} nm. The emission is the Bayesian posterior of "

@@ -14,7 +14,7 @@ from data_schemas import MappedQuantity, Optics, PaintCalibration, PaintMap, Pai
 from finray_calib.fit import BudgetRow
 from finray_calib.reports._fit_statements import BUDGET_NAMES, joined_budget, parameter_words
 from finray_calib.reports._fitted_paint import FittedPaint, PaintTruth
-from finray_calib.reports._plain_text import interval_words
+from finray_calib.reports._plain_text import filter_label, interval_words
 from finray_calib.reports._style import (
     BLUE,
     CHANNELS,
@@ -312,7 +312,7 @@ def _signals_figure(
     lower.set(ylim=(-reach, reach), ylabel="difference (sd)", xlabel="filter centre (nm)")
     _mark_unexplained(upper, lower, poor)
     legend_above(figure, upper, 5)
-    lower.set_xticks(index, [f"{band.center_nm:g}" for band in fit.optics.filters])
+    lower.set_xticks(index, [filter_label(band.name, band.center_nm) for band in fit.optics.filters])
     lower.grid(visible=False, axis="x")
     return svg_text(figure)
 

@@ -48,7 +48,7 @@ from finray_calib.reports._page import (
     provenance_table,
     report_html,
 )
-from finray_calib.reports._plain_text import estimate_text, fixed, percent, plain
+from finray_calib.reports._plain_text import centre_text, estimate_text, fixed, percent, plain
 
 Verdict = Literal["Fit can be used", "Use with care", "Do not use"]
 
@@ -192,7 +192,7 @@ def _assumptions(paint: FittedPaint) -> tuple[str, ...]:
     """List what was taken for granted."""
     optics = paint.fit.optics
     sources = sorted({curve.source for curve in optics.camera_response})
-    centers = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
+    centers = ", ".join(centre_text(band.center_nm) for band in optics.filters)
     centre_nm, width_nm, leak_od = (
         max(getattr(band, name) for band in optics.filters)
         for name in ("center_uncertainty_nm", "fwhm_uncertainty_nm", "blocking_uncertainty_od")
@@ -464,7 +464,7 @@ def no_emission_page(paint: PaintWithoutEmission, command: str, digests: Mapping
 def _key_numbers(paint: PaintWithoutEmission) -> tuple[KeyNumber, ...]:
     """Return the few numbers that stand beside the verdict."""
     found = paint.detection
-    limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit)}"
+    limit = "not stated" if found.yield_limit is None else f"below {percent(found.yield_limit).removeprefix('below ')}"
     modes = f"with 95 % confidence, for modes from {found.limit_low_nm:.0f} to {found.limit_high_nm:.0f} nm"
     beyond, threshold = fixed(found.statistic_sd, 1), fixed(found.threshold_sd, 1)
     return (

@@ -21,6 +21,7 @@ from finray_calib.reports._plain_text import (
     NO_VALUE,
     decimals_for,
     estimate_text,
+    filter_label,
     fixed,
     pareto_text,
     percent,
@@ -105,7 +106,7 @@ def bands_conclusion(paint: FittedPaint) -> str:
     poor = [band for band in bands if not band.explained]
     if not poor:
         return f"all {len(bands)} bands agree with the fit"
-    names = ", ".join(f"{band.center_nm:g} nm" for band in poor)
+    names = ", ".join(filter_label(band.filter_name, band.center_nm, " nm") for band in poor)
     return f"{len(bands) - len(poor)} of {len(bands)} bands agree with the fit; not explained: {names}"
 
 
@@ -363,7 +364,7 @@ def bands_table(paint: FittedPaint) -> ReportTable:
     fit, laser_nm = paint.fit, paint.fit.optics.laser.wavelength_nm
     rows = [
         (
-            f"{band.center_nm:g} nm",
+            filter_label(band.filter_name, band.center_nm, " nm"),
             *_band_cells(band),
             NO_VALUE if band.center_nm < laser_nm else estimate_text(emission, "", 1e3),
         )
@@ -479,7 +480,7 @@ def signals_table(paint: FittedPaint) -> ReportTable:
     sd = np.sqrt(np.diag(bands.fluorescence_covariance)).reshape(-1, 3)
     rows = (
         (
-            f"{band.center_nm:g}",
+            filter_label(band.name, band.center_nm),
             *(_signal(*numbers) for numbers in zip(bands.fluorescence[i], sd[i], bands.flags[i], strict=True)),
         )
         for i, band in enumerate(bands.optics.filters)

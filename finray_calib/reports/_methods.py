@@ -19,6 +19,7 @@ from finray_calib.reports import _comparison_statements as compared
 from finray_calib.reports import _fit_statements as fitted
 from finray_calib.reports._fitted_paint import FittedPaint
 from finray_calib.reports._page import Content, Part
+from finray_calib.reports._plain_text import centre_text
 
 WORKS: Final = {
     "Andersson et al., 2020": "P. Andersson et al., FLIP: a difference evaluator for alternating images, Proc. ACM "
@@ -80,7 +81,7 @@ def fit_methods(paint: FittedPaint) -> tuple[str, ...]:
     """Return how the emission of a paint was measured and inferred, and what came out."""
     fit, bands = paint.fit, paint.bands
     optics = fit.optics
-    centres = ", ".join(f"{band.center_nm:g}" for band in optics.filters)
+    centres = ", ".join(centre_text(band.center_nm) for band in optics.filters)
     white, stated = optics.white_reference, optics.band_uncertainty
     measured = (
         f"The sample \u201c{fit.paint_name}\u201d was photographed raw under a laser at "

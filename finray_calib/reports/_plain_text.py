@@ -55,6 +55,17 @@ def percent(fraction: float) -> str:
     return f"{text.removesuffix('.0')} %"
 
 
+def centre_text(center_nm: float) -> str:
+    """Return the centre of a filter to 0.1 nm; of a measured curve it has many more digits."""
+    return fixed(center_nm, 1).removesuffix(".0")
+
+
+def filter_label(name: str, center_nm: float, unit: str = "") -> str:
+    """Return the centre of a filter to 0.1 nm, in brackets behind its name where that is another."""
+    centre = f"{centre_text(center_nm)}{unit}"
+    return centre if f"{name}{unit}" == centre else f"{name} ({centre})"
+
+
 def signed_percent(fraction: float) -> str:
     """Return a fraction as per cent with its sign; what rounds to nothing is 0 %."""
     text = percent(fraction) if abs(fraction) >= 0.0005 else "0 %"

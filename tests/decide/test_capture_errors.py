@@ -195,7 +195,7 @@ def test_what_would_mislead_is_refused():
         capture_errors(sweep_record(), [good, report("b", 30.0, objective_error(np.zeros(3))), good])
     with pytest.raises(
         DecideError,
-        match=r"b is relative, so it judges how the image changes .* Compare again without --relative, or leave the report out",
+        match=r"b is relative, so it judges how .* Compare again without --relative, or leave the report out",
     ):
         capture_errors(sweep_record(), [good.model_copy(update={"captured": "b", "relative": True})])
     with pytest.raises(DecideError, match=r"b contains no brightness error, because its values are 'encoded values"):

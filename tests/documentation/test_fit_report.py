@@ -12,7 +12,7 @@ from html_page import TRUST, Page, assert_stands_alone
 from data_schemas import Diagnostics, Estimate, PaintCalibration, PriorSensitivity, Provenance, TiltRatio
 from finray_calib.reports import FittedPaint, ReportTable, fit_parts, fit_summary, paint_report, percent, plain
 from finray_calib.reports import _fit_statements as said
-from finray_calib.reports._fit_page import fit_verdict
+from finray_calib.reports._fit_page import _fit_limits, _lead, fit_verdict
 from finray_calib.reports._fit_statements import (
     absorption_table,
     bands_table,
@@ -23,6 +23,7 @@ from finray_calib.reports._fit_statements import (
     sampling_table,
 )
 from finray_calib.reports._fitted_paint import curve_agreement, paper_agreement
+from finray_calib.reports._plain_text import filter_label
 
 RESULTS = example_results()
 RED, GREEN = (RESULTS.paints[colour].fitted for colour in ("red", "green"))
@@ -294,3 +295,25 @@ def test_one_estimate_beside_its_truth() -> None:
     narrow = Estimate(estimate=1.0, sd=0.1, low68=0.9, high68=1.1, low95=0.8, high95=1.2)
     assert said.holds(narrow, 1.2)
     assert not said.holds(narrow, 1.21)
+
+
+def test_lead_and_limits_count_what_the_fit_used() -> None:
+    """A filter that mostly leaks is flagged nowhere, so that only the record's own mask leaves it out."""
+    first = int(RED.fit.usable.all(axis=1).argmax())
+    usable = RED.fit.usable.copy()
+    usable[first] = False
+    leaked = with_fit(RED, usable=usable, usable_values=RED.fit.usable_values - 3)
+    assert f"inferred from {int(usable.sum())} usable signals" in _lead(leaked)
+    flagged = int((~RED.bands.usable()).sum())
+    told = next(text for text in _fit_limits(leaked) if "are not used" in text)
+    assert told.startswith(f"{int((~usable).sum())} of {usable.size} signals are not used: {flagged} are flagged, and ")
+
+
+def test_a_filter_has_one_label_of_at_most_one_decimal() -> None:
+    assert filter_label("450", 450.0, " nm") == "450 nm"
+    assert filter_label("470", 468.953, " nm") == "470 (469 nm)"
+    assert filter_label("525", 523.0549) == "525 (523.1)"
+    named = tuple(b.model_copy(update={"center_nm": b.center_nm + 0.0371, "filter_name": "F"}) for b in RED.fit.bands)
+    poor = with_fit(RED, bands=tuple(b.model_copy(update={"explained": False}) for b in named))
+    assert re.search(r"not explained: F \(\d+ nm\)", said.bands_conclusion(poor))
+    assert re.fullmatch(r"F \(\d+ nm\)", bands_table(poor).groups[0].rows[0][0])

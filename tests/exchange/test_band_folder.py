@@ -165,6 +165,23 @@ def test_measured_curves_are_read(tmp_path):
             "matches the file 'x.tif'",
         ),
         ("bit_depth = 14", "bit_depth = 8", ImportFormatError, "above the 255 DN of camera.bit_depth = 8"),
+        ("bit_depth = 14", "bit_depth = 14\nleft_aligned_bits = 4", RecordError, "together exceed the 16 bits"),
+        ("black_level_dn = 20", "black_level_dn = 16383", RecordError, "not below full scale, which is 16383 DN"),
+        ("black_level_dn = 20", "black_level_dn = 200", ImportFormatError, r"450nm.tif: .* 35.0 DN, below .* = 200 DN"),
+        ('filter = "450"', 'filter = "500"', ImportFormatError, "'500' passes 495 to 505 nm, but .* 450 nm"),
+        (
+            "[files]",
+            "[laser]\nfwhm_nm = 300\n[files]",
+            ImportFormatError,
+            r"laser\.fwhm_nm is 300 nm, .* at most 60 nm",
+        ),
+        ('"laser/{filter}nm.tif"', '"lamp/{filter}nm.tif"', ImportFormatError, r"'\{filter\}nm\.tif' instead of '\{f"),
+        (
+            "reflectance = 0.5",
+            'reflectance = { "450" = 0, "500" = 1, "560" = 1, "600" = 1, "660" = 1 }',
+            RecordError,
+            r"'exposure_s\.reflectance' \(in s\): .*'exposure_s\.reflectance\.450' \(in s\): must be above 0",
+        ),
         ("height_px = 40", "height_px = 400", FinrayError, "reach beyond the frame of 48 x 48 px"),
         (
             "[files]",

@@ -270,3 +270,10 @@ def test_a_hostile_name_stays_text(blank):
     assert "<script>alert(1)" not in page
     assert no_emission_page(hostile, "finray fit", {"bands.json": "0" * 64}) == page
     assert Path(__file__).name not in page
+
+
+def test_a_small_limit_is_not_said_to_be_below_below(blank):
+    small = blank.model_copy(update={"detection": blank.detection.model_copy(update={"yield_limit": 2.6e-4})})
+    page = no_emission_page(small, "finray fit", {"bands.json": "0" * 64}).replace("\u00a0", " ")
+    assert "below 0.1 %" in page
+    assert "below below" not in page

@@ -67,3 +67,22 @@ def test_swapped_paints_are_refused():
         require_paints_in_order({"red": 516.0, "green": 597.0}, files, "--x")
     require_paints_in_order({"red": 597.0, "green": 516.0}, files, "--x")
     require_paints_in_order({"red": 597.0}, files, "--x")
+
+
+@pytest.mark.parametrize(
+    ("laser", "message"),
+    [
+        ({"wavelength_nm": 650.0}, r"wavelength of 650 nm, which the excitation filter '450' \(450 nm, .* not pass"),
+        ({"fwhm_nm": 300.0}, r"the laser's fwhm_nm of 300 nm, .* an LED at most 60 nm"),
+        ({}, r"filter '\d+', whose signals have the smallest standard deviation of all"),
+    ],
+    ids=["laser behind another filter", "white light", "unknown"],
+)
+def test_equations_without_a_solution_name_the_likely_cause(bands, monkeypatch, laser, message):
+    def without_solution(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("finray_calib.fit._paint_calibration.detect_emission", without_solution)
+    optics = bands.optics.model_copy(update={"laser": bands.optics.laser.model_copy(update=laser)})
+    with pytest.raises(FitError, match=message):
+        calibrate_paint(bands.model_copy(update={"optics": optics}), 1)

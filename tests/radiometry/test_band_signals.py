@@ -1,12 +1,16 @@
 """Band signals against known light: bias, stated covariance, flags and refusals."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from data_schemas import CaptureSession, RadiometryError, RegionOfInterest
 from finray_calib.radiometry import band_signals
-from finray_calib.radiometry._step_signals import region_channels
+from finray_calib.radiometry._band_signals import _steadiness_notes
+from finray_calib.radiometry._session_steps import session_steps
+from finray_calib.radiometry._step_signals import ASSUMED_REPEATABILITY_REL, region_channels
 from rigs import paint_plan, simulated_rig
 from rigs.capture import SessionRequest, capture_paint_session, read_frame_of
 from tests.radiometry.sessions import (
@@ -103,6 +107,21 @@ def test_repeatability_is_found_from_the_brackets():
     found = float(note.split(": ")[1].split(" %")[0])
     # 13 steps give the standard deviation to 20 %: 0.4 .. 2 is far outside chance
     assert 0.4 < found < 2.0
+
+
+def test_steadiness_is_noted_only_where_it_was_measured():
+    """Without brackets the light is assumed, and without dark frames their drift is unsaid."""
+    synthetic = synthetic_session(np.random.default_rng(3), repeatability_rel=0.01)
+    steps = session_steps(*_parts(synthetic))
+    assert any("from exposure brackets" in note for note in _steadiness_notes(synthetic.session, steps))
+    assert any(
+        note.startswith("largest drift of the dark level") for note in _steadiness_notes(synthetic.session, steps)
+    )
+    lit = tuple(frame for frame in synthetic.session.frames if frame.frame_type != "dark")
+    alone = synthetic.session.model_copy(update={"frames": lit})
+    assumed = dataclasses.replace(steps, repeatability_rel=ASSUMED_REPEATABILITY_REL)
+    (note,) = _steadiness_notes(alone, assumed)
+    assert note.startswith("light repeatability is assumed: 0.50 % per exposure")
 
 
 def _parts(synthetic) -> tuple[CaptureSession, object]:
