@@ -316,8 +316,7 @@ class _Folder:
         shown_px = float(np.median(lengths_px))
         if not shown_px > 0.0:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}', scale: check_length_px is {shown_px:g} px in the labels, but must be "
-                "above 0"
+                f"recipe '{self.recipe.name}', scale: check_length_px must be above 0, got {shown_px:g} px in labels"
             )
         ratio = shown_px * scale.side_mm / scale.check_length_mm
         if abs(ratio - 1.0) > SCALE_TOLERANCE_REL:
@@ -348,9 +347,8 @@ class _Folder:
         largest, file = max((int(picture.max()), file) for file, picture in self._pictures.items())
         if largest >= 2**bits:
             raise ImportFormatError(
-                f"{file}: its largest value is {largest}, but with picture.bit_depth = {bits} values must be at most "
-                f"{2**bits - 1}. Divide the values by {2 ** (16 - bits)} if the camera left-aligns them; otherwise "
-                "correct bit_depth"
+                f"{file}: its largest value is {largest}, but picture.bit_depth = {bits} allows at most {2**bits - 1}; "
+                f"divide left-aligned values by {2 ** (16 - bits)}, or correct bit_depth"
             )
         return bits
 
@@ -478,7 +476,7 @@ class _Folder:
             raise ImportFormatError(f"{path}: every force must be a finite number; {error}") from None
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
-                f"{path}: contains {len(values)} forces for {frames} frames, but must contain a finite number for each frame; "
+                f"{path}: has {len(values)} forces for {frames} frames, but must contain a finite number for each; "
                 "correct the file, or match by time with frames = { time = COLUMN } below [force]"
             )
         return np.asarray(values * source.newtons)
@@ -492,8 +490,7 @@ class _Folder:
         taken_s = video.times_s if source.per_s is None else np.arange(len(video.frames)) / source.per_s
         if taken_s is None:
             raise ImportFormatError(
-                f"{self.files[name].path}: contains no frame times; give per_s, the frames per second, below "
-                "[force.frames]"
+                f"{self.files[name].path}: contains no frame times; give per_s (frames per second) below [force.frames]"
             )
         if not times.size or not (np.diff(times) > 0.0).all():
             raise ImportFormatError(f"{path}: the times in {source.time} must increase from row to row; sort the table")
@@ -503,8 +500,8 @@ class _Folder:
         outside = taken_s[0] < since_s[0] - apart_s or taken_s[-1] > since_s[-1] + apart_s
         if outside or ((since_s >= taken_s[0]) & (since_s <= taken_s[-1])).sum() < _LEAST_FORCES:
             raise ImportFormatError(
-                f"{path}: its {len(since_s)} forces cover {since_s[0]:.4g} to {since_s[-1]:.4g} s after the first frame, "
-                f"but the frames 0 to {taken_s[-1]:.4g} s; correct unit, first and per_s below [force.frames]"
+                f"{path}: its {len(since_s)} forces cover {since_s[0]:.4g} to {since_s[-1]:.4g} s after the first "
+                f"frame, but the frames 0 to {taken_s[-1]:.4g} s; correct unit, first and per_s below [force.frames]"
             )
         return np.asarray(np.interp(taken_s, since_s, values))
 
@@ -598,7 +595,7 @@ class _Folder:
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:
             raise LeftOutError(
-                f"its contact circle has a radius of {circle.radius_px:g} px, more than the ball's {ball_px:.4g} px; check "
+                f"a contact circle of {circle.radius_px:g} px radius is larger than the ball's {ball_px:.4g} px; check "
                 "that the scale is mm per px, not px per mm, and that the ball's size is its diameter"
             )
         return capture.model_copy(update={"contact_circle": circle, "contact_told_by": by})
