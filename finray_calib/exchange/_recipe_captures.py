@@ -563,7 +563,7 @@ class _Folder:
         if beyond > _MOST_BEYOND:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}', contact.box: the box of {name}, column {left:g}, row {top:g} to column "
-                f"{right:g}, row {bottom:g}, exceeds the picture of {columns} x {rows} px too far{_ENDS_OR_SIZES}"
+                f"{right:g}, row {bottom:g}, reaches too far out of the {columns} x {rows} px picture{_ENDS_OR_SIZES}"
             )
         if capture.indenter.shape == "ball":
             if abs(np.log(width_px / height_px)) > _MOST_OBLONG:
