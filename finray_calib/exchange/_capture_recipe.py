@@ -80,7 +80,7 @@ class RecipePicture(Model):
     @model_validator(mode="after")
     def _corners_have_a_size(self) -> "RecipePicture":
         if (self.corners_px is None) != (self.size_px is None):
-            raise ValueError("corners_px and size_px go together: give both or leave both out")
+            raise ValueError("only one of corners_px and size_px is given; give both or neither")
         return self
 
 
@@ -109,7 +109,7 @@ class RecipeNoContact(Model):
         if sum(given) != 1:
             raise ValueError("give exactly one of file, frames_before, median_of_presses and far_pixels")
         if self.repeat_file is not None and self.file is None:
-            raise ValueError("repeat_file needs file; give file too, or leave repeat_file out")
+            raise ValueError("repeat_file is given without file; give file too, or leave repeat_file out")
         return self
 
 
@@ -155,7 +155,7 @@ class RecipeDepthMap(Model):
     @model_validator(mode="after")
     def _values_have_a_size(self) -> "RecipeDepthMap":
         if self.value_mm == 0.0:
-            raise ValueError("value_mm must not be 0; give the millimetres in 1 of the file's values")
+            raise ValueError("value_mm must not be 0; give how many mm a value of 1 in the file stands for")
         return self
 
 
@@ -181,7 +181,7 @@ class RecipeBox(Model):
     def _has_one_size(self) -> "RecipeBox":
         ends, sizes = (self.right_px, self.bottom_px), (self.width_px, self.height_px)
         if sorted((sum(part is not None for part in ends), sum(part is not None for part in sizes))) != [0, 2]:
-            raise ValueError("give right_px and bottom_px, or width_px and height_px in their place")
+            raise ValueError("give either right_px and bottom_px, or width_px and height_px")
         return self
 
 
@@ -211,7 +211,7 @@ class RecipeContact(RecipeLabels):
             value is None or isinstance(value, float) or PLACEHOLDER.fullmatch(value) for _, value in parts
         )
         if (parts is not None or self.outline) and self.file is None and not named:
-            raise ValueError("file: missing; the circle, box or outline is read from it")
+            raise ValueError("file is missing; name the file from which the circle, box or outline is read")
         return self
 
 
@@ -228,9 +228,9 @@ class RecipeScale(Model):
     @model_validator(mode="after")
     def _one_scale(self) -> "RecipeScale":
         if (self.mm_per_px is None) == (self.px_per_mm is None):
-            raise ValueError("give mm_per_px or px_per_mm, one of the two")
+            raise ValueError("give exactly one of mm_per_px and px_per_mm")
         if (self.check_length_mm is None) != (self.check_length_px is None):
-            raise ValueError("check_length_mm and check_length_px go together: give both or leave both out")
+            raise ValueError("only one of check_length_mm and check_length_px is given; give both or neither")
         return self
 
     @property
@@ -277,7 +277,7 @@ class RecipePose(RecipeLabels):
     def _is_whole(self) -> "RecipePose":
         placed = sum(part is not None for part in (self.x, self.y, self.z))
         if (self.matrix is None) != (placed == 3) or (self.matrix is not None and self.quaternion is not None):
-            raise ValueError("give x, y and z, with a quaternion where there is one, or matrix in their place")
+            raise ValueError("give either x, y and z (with quaternion if there is one), or matrix alone")
         if not all(any(way) for way in (self.normal, self.axis, self.along or self.normal)):
             raise ValueError("normal, axis and along must not be [0, 0, 0]; give a direction")
         return self
@@ -314,24 +314,31 @@ class RecipeIndenter(RecipeLabels):
     @model_validator(mode="after")
     def _uncertainties_have_a_value(self) -> "RecipeIndenter":
         if self.diameter_mm is not None and self.radius_mm is not None:
-            raise ValueError("diameter_mm and radius_mm say the same; leave one of them out")
+            raise ValueError("diameter_mm and radius_mm are both given; leave one of them out")
         for name in ("depth", "position"):
             known = getattr(self, f"{name}_mm") is not None or self.pose is not None
             if getattr(self, f"{name}_uncertainty_mm") is not None and not known:
-                raise ValueError(f"{name}_uncertainty_mm needs {name}_mm; give it too, or leave the uncertainty out")
+                raise ValueError(
+                    f"{name}_uncertainty_mm is given without {name}_mm; give {name}_mm too, or leave the uncertainty "
+                    "out"
+                )
         columns = [name for name in SIZES if isinstance(getattr(self, name), str)]
         if self.columns_in != "mm" and not columns:
-            raise ValueError("columns_in is a unit of columns, but [indenter] names none; leave columns_in out")
+            raise ValueError(
+                "columns_in gives the unit of columns, but [indenter] names no columns; leave columns_in out"
+            )
         for name in self.columns_in if isinstance(self.columns_in, dict) else ():
             if name not in columns:
                 raise ValueError(
-                    f"columns_in gives a unit for {name}, but [indenter] names no column for it; remove that unit "
-                    f"(columns here: {', '.join(columns)}). A number in place of a column is in mm"
+                    f"columns_in gives a unit for {name}, but [indenter] names columns only for {', '.join(columns)}; "
+                    f"remove the unit of {name} (a number is always in mm)"
                 )
         shapes = set(self.shape.values()) if isinstance(self.shape, dict) else {self.shape}
         if self.extruded_mm is not None and shapes != {"mesh"}:
             others = " or ".join(sorted(shapes - {"mesh"}))
-            raise ValueError(f'extruded_mm belongs to shape = "mesh", not to a {others}; leave it out')
+            raise ValueError(
+                f'extruded_mm is supported only for shape = "mesh", not for a {others}; leave extruded_mm out'
+            )
         return self
 
     def column_unit_mm(self, name: str) -> float:
@@ -374,9 +381,11 @@ class RecipeForce(RecipeLabels):
     @model_validator(mode="after")
     def _has_a_source(self) -> "RecipeForce":
         if self.file is None and PLACEHOLDER.fullmatch(self.column or "") is None:
-            raise ValueError('give file, or the part of the name that holds the force: column = "{force}"')
+            raise ValueError(
+                'file is missing; give file, or the part of the name that is the force, such as column = "{force}"'
+            )
         if self.unit != "N" and self.factor != 1.0:
-            raise ValueError("unit and factor say the same; leave one of them out")
+            raise ValueError("unit and factor are both given; leave one of them out")
         return self
 
     @property
@@ -430,8 +439,8 @@ class Recipe(Model):
                 for word in PLACEHOLDER.findall(text)}  # fmt: skip
         if unknown := sorted(used - known):
             raise ValueError(
-                f"{{{unknown[0]}}} is used, but is not in presses.files, which has "
-                f"{', '.join(f'{{{word}}}' for word in sorted(known - {GROUP[1:-1]}))}; correct one of them"
+                f"the recipe uses {{{unknown[0]}}}, but presses.files gives only "
+                f"{', '.join(f'{{{word}}}' for word in sorted(known - {GROUP[1:-1]}))}; correct the recipe"
             )
         return self
 
@@ -440,8 +449,8 @@ class Recipe(Model):
         has_outline = self.contact is not None and self.contact.circle is None and self.contact.search != "circle"
         if self.indenter.extruded_mm is not None and not (has_outline and self.scale is not None):
             raise ValueError(
-                "indenter.extruded_mm needs an outline of the contact in mm: give [contact] outline, outline_px or "
-                'search = "outline", and [scale]'
+                "indenter.extruded_mm needs the outline of the contact in mm, but the recipe gives no outline or no "
+                'scale; give [contact] with outline, outline_px or search = "outline", and give [scale]'
             )
         return self
 
@@ -471,7 +480,7 @@ def read_recipe(name_or_file: str) -> tuple[Recipe, Path]:
     path = RECIPES / f"{name_or_file}.toml" if name_or_file in recipe_names() else Path(name_or_file)
     if not path.is_file():
         raise ImportFormatError(
-            f"{name_or_file}: there is neither a recipe of this name nor such a file; give one of the recipes "
+            f"{name_or_file}: is neither the name of a recipe nor an existing file; give one of the recipes "
             f"{', '.join(recipe_names())}, or write a TOML file (docs/how-to/import-captures.md shows one)"
         )
     tables = read_toml_tables(path, "a recipe (TOML)", ImportFormatError)
@@ -545,8 +554,8 @@ def require_possible_scale(recipe: Recipe) -> None:
         given, other = ("mm_per_px", "px_per_mm") if scale.mm_per_px is not None else ("px_per_mm", "mm_per_px")
         number = scale.mm_per_px if scale.mm_per_px is not None else scale.px_per_mm
         raise ImportFormatError(
-            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, and at "
-            f"most {LARGEST_PIXEL_MM:g} mm are allowed; perhaps it should be {other} = {number:g}"
+            f"recipe '{recipe.name}', scale: with {given} = {number:g} a pixel is {scale.side_mm:.4g} mm wide, but it "
+            f"must be at most {LARGEST_PIXEL_MM:g} mm wide; perhaps {other} = {number:g} was meant"
         )
 
 
@@ -589,8 +598,8 @@ def require_possible_depths(recipe: Recipe, depths: Mapping[str, tuple[float, fl
         told = "contact.depth_map" if by_map else "indenter.pose"
         remedy = "If its values are in another unit, correct " + ("value_mm" if by_map else "unit and first_touch_mm")
     raise ImportFormatError(
-        f"recipe '{recipe.name}', {told}: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, "
-        f"{why}. {remedy}; else correct the depths, the scale or the ball's diameter"
+        f"recipe '{recipe.name}', {told}: the median depth of {len(depths)} presses is {middle_mm:.3g} mm, {why}. "
+        f"{remedy}; otherwise correct the depths, the scale or the ball's diameter"
     )
 
 
@@ -614,11 +623,11 @@ def require_circles_on_contacts(recipe: Recipe, changes: Mapping[str, Mapping[st
         exchanged = ("left" in said) + 2 * ("top" in said)
         turned = [[*corners[k ^ exchanged]] for k in range(4)]
         remedy = (
-            f"correct the labels, or turn the pictures to suit them: corners_px = {turned} and "
-            f"size_px = [{columns}, {rows}] below [picture]"
+            f"correct the labels, or turn the pictures to suit them: corners_px = {turned} and size_px = [{columns}, "
+            f"{rows}] below [picture]"
         )
     raise ImportFormatError(
-        f"recipe '{recipe.name}', contact.circle: {vote.against} of {vote.presses} presses change more (median: "
-        f"{vote.median_ratio:.2g} times as much) where their circles would be with {said} exchanged; {vote.right} "
-        f"change more where their circles are now: {remedy}"
+        f"recipe '{recipe.name}', contact.circle: {said} seem to be exchanged. {vote.against} of {vote.presses} "
+        f"presses change more (median: {vote.median_ratio:.2g} times as much) at the exchanged circle, and "
+        f"{vote.right} change more at the circle as given; {remedy}"
     )

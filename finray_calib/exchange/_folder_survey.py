@@ -144,7 +144,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
         if not path.name.startswith("."):
             found.setdefault(_RUN_OF_DIGITS.sub("#", name), []).append(name)
     if not found:
-        raise ImportFormatError(f"{folder}: holds no file; give the folder of the set")
+        raise ImportFormatError(f"{folder}: contains no file; give the folder of the set")
     kinds = [_Kind(names) for names in sorted(found.values(), key=len, reverse=True)]
     for kind in kinds[:_GROUPS_SHOWN]:
         _look(kind, inside / kind.names[0])

@@ -47,7 +47,7 @@ def read_force_csv(path: Path) -> MeasuredForce:
     unknown = [name for name in header if name not in {*NEEDED, *OPTIONAL}]
     if unknown:
         raise ImportFormatError(
-            f"{path}: column '{unknown[0][:60]}' is unknown; {allowed}; give mm and N, separated by commas"
+            f"{path}: column '{unknown[0][:60]}' is not supported; {allowed}. Give mm and N, separated by commas"
         )
     missing = [name for name in NEEDED if name not in header]
     if missing:
@@ -72,8 +72,8 @@ def _require_loading(path: Path, displacement_mm: NDArray[np.float64]) -> None:
     if back.size:
         row = int(back[0])
         raise CompareError(
-            f"{path}: in row {row + 1} under the header the displacement is {displacement_mm[row]:g} mm after "
-            f"{deepest[row]:g} mm: the indenter moves back, where the force is lower than in loading. Leave out the "
+            f"{path}: row {row + 1} below the header has a displacement of {displacement_mm[row]:g} mm after "
+            f"{deepest[row]:g} mm, so the indenter moves back, and the force is lower than in loading. Leave out the "
             "rows of unloading; if all rows are of loading, sort them by displacement_mm"
         )
 
@@ -103,10 +103,14 @@ def read_board_picture(path: Path, monochrome: bool = False) -> NDArray[np.uint8
         raw = plane.dtype == np.uint16 and not monochrome
         levels = (cv2.cvtColor(plane, cv2.COLOR_BayerRGGB2GRAY) if raw else plane).astype(np.float64)
     else:
-        raise ImportFormatError(f"{path}: has {image.shape[2]} numbers per pixel; give 1 (raw or grey) or 3 (colour)")
+        raise ImportFormatError(
+            f"{path}: has {image.shape[2]} values per pixel, but must have 1 (raw or grey), or 3 or 4 (colour)"
+        )
     low, high = float(levels.min()), float(levels.max())
     if high <= low:
-        raise ImportFormatError(f"{path}: every pixel has the same value ({low:g}); a board shows black and white")
+        raise ImportFormatError(
+            f"{path}: every pixel has the same value ({low:g}), so it shows no board; give a picture of the board"
+        )
     return np.asarray(np.rint((levels - low) / (high - low) * 255.0), dtype=np.uint8)
 
 
@@ -129,5 +133,8 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     tiff = content[:4] in TIFF_STARTS
     image = tiff_image(content, path, ImportFormatError) if tiff else decoded_picture(content, path, ImportFormatError)
     if image.dtype not in (np.uint8, np.uint16):
-        raise ImportFormatError(f"{path}: has {image.dtype} pixels; save it with unsigned integers of 8 or 16 bits")
+        raise ImportFormatError(
+            f"{path}: has {image.dtype} pixels, which are not supported; save the picture with unsigned integers of 8 "
+            "or 16 bits"
+        )
     return np.asarray(image)

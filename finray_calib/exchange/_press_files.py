@@ -117,20 +117,23 @@ def press_files(folder: Path, recipe: Recipe, count: Callable[[Path, str], int])
     pattern, _, array = recipe.presses.files.partition(ARRAY_IN)
     if PLACEHOLDER.search(recipe.presses.files) is None or recipe.presses.files.count(PRESS) > 1:
         raise ImportFormatError(
-            f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must contain {PRESS} exactly once: it "
-            "stands for the name of the press; or give other words for parts of the name, such as {depth}"
+            f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must contain {PRESS}, the name of the "
+            "press, exactly once, or other words for parts of the name, such as {depth}"
         )
     if array and not re.fullmatch(r"[^\[\]/{}]*\[\{press\}\]", array):
         raise ImportFormatError(
             f"recipe '{recipe.name}': presses.files = \"{recipe.presses.files}\" must end in the name of an array and "
-            f"[{PRESS}], such as {pattern}{ARRAY_IN}images[{PRESS}], or {pattern}{ARRAY_IN}[{PRESS}] of npy and TIFF"
+            f"[{PRESS}], such as {pattern}{ARRAY_IN}images[{PRESS}], or for npy and TIFF files in [{PRESS}] alone, "
+            f"such as {pattern}{ARRAY_IN}[{PRESS}]"
         )
     require_inside(pattern)
     strict, loose = _expressions(recipe, pattern)
     found: dict[str, PressFile] = {}
     for number, path in enumerate(files_below(folder)):
         if number > MOST_FILES:
-            raise ImportFormatError(f"{folder}: holds more than {MOST_FILES} files; give a subfolder of it")
+            raise ImportFormatError(
+                f"{folder}: contains more than {MOST_FILES} files, which is too many; give a subfolder"
+            )
         inner = composed(path.relative_to(folder).as_posix())
         match = None if path.name.startswith("._") else strict.fullmatch(inner) or loose.fullmatch(inner)
         if match is None:  # "._" is what macOS writes beside a file on other disks
@@ -139,12 +142,12 @@ def press_files(folder: Path, recipe: Recipe, count: Callable[[Path, str], int])
             if not fnmatchcase(name, recipe.presses.only):
                 continue
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise ImportFormatError(f"{path}: leads out of the folder; copy the file into it")
+                raise ImportFormatError(f"{path}: points outside the folder; copy the file into the folder")
             if name in found:
                 raise ImportFormatError(
                     f"{found[name].path} and {path.relative_to(folder)} are both press '{name}' by presses.files of "
-                    f"the recipe '{recipe.name}' ({recipe.presses.files}); move one away, or let {PRESS} cover what "
-                    "differs"
+                    f"the recipe '{recipe.name}' ({recipe.presses.files}); move one of the files away, or let {PRESS} "
+                    "cover the part of the names that differs"
                 )
             found[name] = press
     yield from _ordered(folder, recipe, found)
@@ -172,12 +175,16 @@ def _ordered(folder: Path, recipe: Recipe, found: Mapping[str, PressFile]) -> It
     """Return the presses in the order of their names; refuse none, and too many."""
     if not found:
         raise ImportFormatError(
-            f"{folder}: no file in it matches presses.files of the recipe '{recipe.name}' ({recipe.presses.files}); "
-            "give the folder above, or correct presses.files (upper and lower case count)" + _seen(folder)
+            f"{folder}: no file in the folder matches presses.files of the recipe '{recipe.name}' "
+            f"({recipe.presses.files}); give the parent folder, or correct presses.files (upper and lower case count)"
+            + _seen(folder)
         )
     ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
     if len(ordered) > MOST_PRESSES:
-        raise ImportFormatError(f"{folder}: holds {len(ordered)} presses; give a folder of at most {MOST_PRESSES}")
+        raise ImportFormatError(
+            f"{folder}: contains {len(ordered)} presses, but at most {MOST_PRESSES} are supported; give a smaller "
+            "folder"
+        )
     for name in ordered:
         yield name, found[name]
 
@@ -212,6 +219,6 @@ def refuse_misspelt(folder: Path, recipe: Recipe, files: Collection[str]) -> Non
         missing = [press for press in read if not any(is_named(press, name) for name in names)]
         if where != _LEAVE_OUT and unknown and missing:
             raise ImportFormatError(
-                f"recipe '{recipe.name}': {where} names '{unknown[0]}', which is not a press of {folder}, but does "
-                f"not name '{missing[0]}', which is one; correct the name, as {recipe.presses.files} gives it"
+                f"recipe '{recipe.name}': {where} names '{unknown[0]}', but {folder} has no such press, and the press "
+                f"'{missing[0]}' is not named; correct the name to match presses.files ({recipe.presses.files})"
             )

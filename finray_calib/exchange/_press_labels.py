@@ -46,10 +46,10 @@ PICKLED = (".pkl", ".pickle")
 def pickle_words(path: Path) -> str:
     """Return why a pickled file is not opened, and the lines that convert it outside of the program."""
     return (
-        "is pickled, and opening it could run code of an unknown author, so it is never opened; if you trust "
-        "its owner, convert it in a Python of your own: import numpy, pathlib, pickle; values = "
-        f"pickle.loads(pathlib.Path('{path.name}').read_bytes()); numpy.save('{path.stem}.npy', "
-        "numpy.array(values, dtype=float)), and name the .npy file in the recipe"
+        "is a pickle file, which is never opened because it could run code of an unknown author. If you trust its "
+        "author, convert it in your own Python: import numpy, pathlib, pickle; values = "
+        f"pickle.loads(pathlib.Path('{path.name}').read_bytes()); numpy.save('{path.stem}.npy', numpy.array(values, "
+        "dtype=float)), and name the .npy file in the recipe"
     )
 
 
@@ -89,7 +89,7 @@ class LabelTable:
         ):
             rows = next((table[key] for key in keys if key in table), [])
             if len(rows) > 1:
-                raise LeftOutError("several lines of the table name this press, with different values")
+                raise LeftOutError("several rows of the table name this press, with different values")
             if rows and keys is not last_parts:
                 return dict.fromkeys(self.columns, "") | rows[0]
         return None
@@ -106,10 +106,10 @@ class LabelTable:
             try:
                 self._times[to.column] = np.array([finite_number(row.get(to.column, "")) for row in self.rows])
             except ValueError as error:
-                raise ImportFormatError(f"{path}: every {to.column} must be a number: {error}") from None
+                raise ImportFormatError(f"{path}: every {to.column} must be a number; {error}") from None
         apart = np.abs(self._times[to.column] - value * to.factor)
         if not apart.size or apart.min() > to.within:
-            raise LeftOutError(f"no line of {path.name} lies within {to.within:g} of its time")
+            raise LeftOutError(f"no row of {path.name} lies within {to.within:g} of the time of the press")
         return dict.fromkeys(self.columns, "") | self.rows[int(np.argmin(apart))]
 
 
@@ -144,8 +144,8 @@ def read_label_table(path: Path, press: str, is_name: bool = True) -> LabelTable
     columns, rows = table_rows(path, [press] if is_name else [])
     if press not in columns:
         raise ImportFormatError(
-            f"{path}: has no column '{press}' that {'names the press' if is_name else 'holds the time'}; it has "
-            f"{', '.join(columns)}"
+            f"{path}: has no column '{press}' that {('names the press' if is_name else 'holds the time')}; its columns "
+            f"are {', '.join(columns)}"
         )
     table = LabelTable(columns, rows, {}, {}, {})
     for row in rows if is_name else ():
@@ -168,7 +168,9 @@ def label_column(path: Path, column: str | None) -> list[str]:
     """Return the cells of a column."""
     columns, rows = read_csv(path, "a CSV file of forces", ImportFormatError, skip_space=True, other_marks=True)
     if column not in columns:
-        raise ImportFormatError(f"{path}: has no column '{column}'; it has {', '.join(columns)}: correct force.column")
+        raise ImportFormatError(
+            f"{path}: has no column '{column}'; its columns are {', '.join(columns)}. Correct force.column"
+        )
     at = columns.index(column)
     return [cells[at] if at < len(cells) else "" for _, cells in rows]
 
@@ -194,8 +196,12 @@ def label_entry(path: Path, value: str, files: ArrayFiles, of_matrix: bool = Fal
         or not (of_matrix or np.isfinite(array[tuple(at or [0])]))
     ):
         raise ImportFormatError(
-            f"{path}: '{value}' must be one finite number; '{name}' holds {array.size} numbers"
-            + (f" of shape {array.shape}: name one by the index of each axis, from 0" if array.ndim > 1 else "")
+            f"{path}: '{value}' is not one finite number; '{name}' contains {array.size} numbers"
+            + (
+                f" of shape {array.shape}, of which one must be named by its index along each axis, from 0"
+                if array.ndim > 1
+                else ""
+            )
         )
     if not np.isfinite(array[tuple(at or [0])]):  # of a matrix: the track was lost
         raise LeftOutError(f"its '{name}' is not finite")
@@ -207,15 +213,17 @@ def _json_number(path: Path, name: str, at: Sequence[int], of_matrix: bool) -> f
     whole = read_json(path, "labels (JSON)", ImportFormatError, any_number=True)
     if not isinstance(whole, dict):
         raise ImportFormatError(
-            f"{path}: must be one object {{ ... }} with the labels of its press; of a list with an object for each "
-            "press, name the key that names the press as press"
+            f"{path}: is not one object {{ ... }} with the labels of its press; if it is a list with an object for "
+            "each press, give as press the key that names the press"
         )
     found: dict[str, Any] = {}
     for key, value in (inside := list(whole.items())):  # grows while it is read
         found[key] = value
         inside += [(f"{key}.{inner}", of) for inner, of in value.items()] if isinstance(value, dict) else []
     if name not in found:
-        raise ImportFormatError(f"{path}: '{name}' is missing; it holds {', '.join(sorted(found)[:40]) or 'nothing'}")
+        raise ImportFormatError(
+            f"{path}: '{name}' is missing; the file contains {', '.join(sorted(found)[:40]) or 'nothing'}"
+        )
     value = found[name]
     if value == []:
         raise LeftOutError(f"its '{name}' is not a finite number")
@@ -223,12 +231,15 @@ def _json_number(path: Path, name: str, at: Sequence[int], of_matrix: bool) -> f
         if of_matrix or len(value) == 1 or all(len(row) == 1 for row in value):
             value = [entry for row in value for entry in row]  # row by row
         else:
-            raise ImportFormatError(f"{path}: '{name}' is a list of lists; name an entry of both, as {name}[0, 0]")
+            raise ImportFormatError(
+                f"{path}: '{name}' is a list of lists, so an entry needs two indices, such as {name}[0, 0]"
+            )
     for k in at or ([0] if isinstance(value, list) and value else []):
         entries = value if isinstance(value, list) else [value]
         if k >= len(entries) or (not at and len(entries) > 1):
             raise ImportFormatError(
-                f"{path}: '{name}' has entries 0 to {len(entries) - 1}; name one, such as {name}[0]"
+                f"{path}: '{name}' has entries 0 to {len(entries) - 1}, but the recipe names none of these; name one, "
+                f"such as {name}[0]"
             )
         value = entries[k]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(float(value)):
@@ -276,12 +287,12 @@ class PressLabels:
         if (word := PLACEHOLDER.fullmatch(value)) is not None:
             text = self.files[name].words[word[1]]
             if (number := number_in_name(text)) is None:
-                raise LeftOutError(f"its name has {value} = '{text}', which is no number such as 0.75 or 0p75")
+                raise LeftOutError(f"its name has {value} = '{text}', which is not a number such as 0.75 or 0p75")
             return number
         if labels.file is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no file is named for '{value}'; add the key file to [contact], or to "
-                "[indenter] for a number of the indenter"
+                f"recipe '{self.recipe.name}': no file is named that contains '{value}'; add the key file to "
+                "[contact], or to [indenter] for a number of the indenter"
             )
         path = named_file(self.folder, labels.file, self.files[name])
         kind = path.suffix.lower()
@@ -291,7 +302,7 @@ class PressLabels:
         of_numbers = not of_table and value.startswith("[") and kind in TEXTS_OF_NUMBERS
         if kind in (".npz", ".npy") or of_numbers or (kind == ".json" and not of_table):
             if not has_file(path):
-                raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
+                raise LeftOutError(f"the file {path.name}, which the recipe names, is missing")
             self.made_of.add(path)
             return label_entry(path, self.files[name].filled(value), self.arrays, of_matrix)
         return self._of_table(name, labels, path, self.files[name].filled(value), of_matrix)
@@ -302,8 +313,8 @@ class PressLabels:
         if key is None:
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}': 'press' is missing next to file = \"{labels.file}\"; name "
-                "the column that holds the press of each line (of a file for each press, or one without a header, "
-                'name places, such as "[0]" and "[{press}, 0]")'
+                "the column that names the press of each row (in a file for each press, or one without a header, "
+                'name entries in place of columns, such as "[0]" and "[{press}, 0]")'
             )
         if (path, key) not in self._tables:
             self._tables[path, key] = read_label_table(path, key, labels.nearest is None)
@@ -319,15 +330,17 @@ class PressLabels:
             array, count = ARRAY_IN in self.recipe.presses.files, f"{len(self.files)}"
             if array and name == "0" and table.row(count, Path(count), {}) is not None:
                 raise ImportFormatError(
-                    f"{path}: the lines of '{key}' are counted from 1, entries of arrays from 0; subtract 1 in a copy"
+                    f"{path}: the rows in '{key}' are numbered from 1, but entries of arrays are numbered from 0; copy "
+                    "the file and subtract 1 from each row number"
                 )
-            raise LeftOutError(f"no line of {path.name} names this press")
+            raise LeftOutError(f"no row of {path.name} names this press")
         if of_matrix and column not in row and (member := _MEMBER.match(column)) and member["index"]:
             k = int(member["index"])  # JSON holds rows of a matrix, or all of it
             column = f"{member['name']}[{k // 4}][{k % 4}]"
         if column not in row:
             raise ImportFormatError(
-                f"{path}: has no column '{column}'; it has {', '.join(row)}: correct the recipe '{self.recipe.name}'"
+                f"{path}: has no column '{column}'; its columns are {', '.join(row)}. Correct the recipe "
+                f"'{self.recipe.name}'"
             )
         try:
             return finite_number(row[column])
@@ -359,7 +372,7 @@ class PressLabels:
         if isinstance(shape, dict):
             named = _of_name(name, shape)
             if named is None:
-                raise LeftOutError("indenter.shape of the recipe has no line for its name")
+                raise LeftOutError("indenter.shape of the recipe gives no shape for its name")
             shape = named
         diameter_mm, radius_mm, depth_mm, position_mm = (self.size(name, what) for what in SIZES)
         above_zero("diameter", diameter_mm)
@@ -415,14 +428,16 @@ class PressLabels:
         """Return the hull of all corners that the label holds, (corners, 2): column, row."""
         path = named_file(self.folder, contact.file or "", self.files[name])
         if not has_file(path):
-            raise LeftOutError(f"the file {path.name}, which its recipe names, is missing")
+            raise LeftOutError(f"the file {path.name}, which the recipe names, is missing")
         self.made_of.add(path)
         corners = [self.arrays.array(path, part) for part in contact.outline]
         if any(part.ndim != 2 or part.shape[1] != 2 for part in corners):
-            raise ImportFormatError(f"{path}: corners must be of shape (n, 2), column and row; correct contact.outline")
+            raise ImportFormatError(
+                f"{path}: the corners must be an array of shape (n, 2), column and row; correct contact.outline"
+            )
         points = np.concatenate(corners).astype(np.float32)
         if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
-            raise LeftOutError("its outline has fewer than 3 corners, or some that are not numbers")
+            raise LeftOutError("its outline has fewer than 3 different corners, or corners that are not finite numbers")
         return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
 
     def depths_mm(self, name: str, source: RecipeDepthMap, shape: tuple[int, ...]) -> Floats:
@@ -439,13 +454,13 @@ class PressLabels:
         for pattern in (source.file, *([] if source.rest_file is None else [source.rest_file])):
             path = named_file(self.folder, pattern, self.files[name])
             if not has_file(file_of(path)):
-                raise LeftOutError(f"the map {file_of(path).name}, which its recipe names, is missing")
+                raise LeftOutError(f"the map {file_of(path).name}, which the recipe names, is missing")
             self.made_of.add(file_of(path))
             maps.append(map_of(path, self.arrays))
             if maps[-1].shape != shape[:2]:
                 raise ImportFormatError(
-                    f"{path}: is {maps[-1].shape[1]} x {maps[-1].shape[0]} px, and the picture of {name} {shape[1]} x "
-                    f"{shape[0]} px; a map must have the pixels of its picture: scale it to them"
+                    f"{path}: has {maps[-1].shape[1]} x {maps[-1].shape[0]} px, but the picture of {name} has "
+                    f"{shape[1]} x {shape[0]} px; scale the map to the size of its picture"
                 )
         return (maps[0] - (maps[1] if len(maps) > 1 else 0.0)) * source.value_mm
 
@@ -458,10 +473,10 @@ def _rotation(name: str, w: float, x: float, y: float, z: float) -> Floats:
     """Return the rotation (3, 3) of a quaternion of norm 1."""
     norm = float(np.sqrt(w * w + x * x + y * y + z * z))
     if norm == 0.0:
-        raise LeftOutError("its quaternion is 0, 0, 0, 0, which is no rotation")
+        raise LeftOutError("its quaternion is 0, 0, 0, 0, which is not a rotation")
     if abs(norm - 1.0) > _NORM_TOLERANCE:
         raise ImportFormatError(
-            f"the quaternion of {name} has a norm of {norm:.4g}, and that of a rotation is 1; check the columns of "
+            f"the quaternion of {name} has a norm of {norm:.4g}, but the norm of a rotation is 1; check the columns of "
             "indenter.pose.quaternion"
         )
     w, x, y, z = w / norm, x / norm, y / norm, z / norm
@@ -478,21 +493,21 @@ def _require_rigid(name: str, matrix: Floats) -> None:
     """Refuse a matrix that is no rotation and shift, or whose rows are columns."""
     turn = matrix[:3, :3]
     if not turn.any():
-        raise LeftOutError("the rotation of its matrix is all 0")
+        raise LeftOutError("the rotation part of its matrix is all 0")
     odd = np.abs(turn @ turn.T - np.eye(3)).max() > 2 * _NORM_TOLERANCE or np.linalg.det(turn) < 0.0
     # nothing is rounded in the last row; in another order it holds the place, which may be some 1e-3 m
     if odd or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
         raise ImportFormatError(
-            f"indenter.pose.matrix of {name} is no rotation with a shift: three rows of norm 1 at right angles and "
-            "[0, 0, 0, 1] are needed, row by row; check the order of its columns"
+            f"indenter.pose.matrix of {name} is not a rotation with a shift. The rotation must have three rows of norm "
+            "1 at right angles, and the last row must be [0, 0, 0, 1]; check the order of the columns"
         )
 
 
 _FALLS: Final = (
-    ": where it falls as the gel is pressed in, write z = its name, x = 0, y = 0, unit and first_touch_mm = 0 below "
+    "; if the column falls as the gel is pressed in, write z = COLUMN, x = 0, y = 0, unit and first_touch_mm = 0 below "
     "[indenter.pose] in place of depth_mm"
 )
-_IS_POSED: Final = ": check first_touch_mm, and that normal leads out of the gel"
+_IS_POSED: Final = "; check first_touch_mm, and that normal points out of the gel"
 
 
 def above_zero(what: str, value_mm: float | None, remedy_below: str = "") -> None:
@@ -506,7 +521,7 @@ def above_zero(what: str, value_mm: float | None, remedy_below: str = "") -> Non
     if value_mm is not None and not value_mm > 0.0:
         remedy = remedy_below if value_mm < 0.0 else ""
         told = "below 0" if remedy == _FALLS else f"{value_mm:g} mm"  # one sentence for all presses
-        raise LeftOutError(f"its {what} is {told} in the table; it must be above 0{remedy}")
+        raise LeftOutError(f"its {what} is {told} in the table, but must be above 0{remedy}")
 
 
 def pushing(force_n: float) -> float:
@@ -518,5 +533,7 @@ def pushing(force_n: float) -> float:
         It does.
     """
     if force_n < -0.1:
-        raise LeftOutError(f"its force is {force_n:g} N; where a push is counted as negative, write a factor below 0")
+        raise LeftOutError(
+            f"its force is {force_n:g} N, which is a pull; if the file counts a push as negative, give a factor below 0"
+        )
     return force_n

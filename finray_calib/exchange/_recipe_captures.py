@@ -83,7 +83,7 @@ _REASONS_SHOWN: Final = 5
 _MOST_OBLONG: Final = 0.27
 #: Share of a box that may lie beyond the picture: contacts at its border do.
 _MOST_BEYOND: Final = 0.25
-_ENDS_OR_SIZES: Final = "; check the order of its numbers, and whether the last two are ends or sizes"
+_ENDS_OR_SIZES: Final = "; check the order of the four numbers, and whether the last two are edges or sizes"
 #: Lines of a table within the time of a video: fewer are in another unit of time.
 _LEAST_FORCES: Final = 3
 #: Gel beside a contact rises, or stays; a map whose untouched values are not 0 exceeds any small depth everywhere.
@@ -92,8 +92,8 @@ _MOST_IN_CONTACT: Final = 0.98
 MOST_IN_MEDIAN = 51
 #: A scale that its own check length contradicts by more than this is not the scale.
 SCALE_TOLERANCE_REL = 0.1
-_MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts: small errors are not seen"
-_DOUBTFUL = "the one that was found contradicts ball and depth: look at it, and correct it by --circles"
+_MEDIAN_LOSES = "the median of the presses is used instead and still contains weak contacts, which hide small errors"
+_DOUBTFUL = "the circle found contradicts the ball and the depth; look at the circle, and correct it by --circles"
 _SURFACE_LOSES = "a smooth surface through far pixels is used instead; texture of the gel counts as contact"
 
 
@@ -172,7 +172,7 @@ def read_by_recipe(
             take(name, capture, reader.made_of)
     if not read:
         raise ImportFormatError(
-            f"{folder}: none of its {len(reader.files)} presses can be read by the recipe '{recipe.name}': "
+            f"{folder}: none of the {len(reader.files)} presses can be read by the recipe '{recipe.name}'. Reasons: "
             f"{'; '.join(islice(left_out, _REASONS_SHOWN))}"
         )
     reader.check_numbers(read)
@@ -222,7 +222,9 @@ class _Folder:
         self._labels = PressLabels(self.folder, self.recipe, self.files, self._arrays, self._made_of)
         for name in self.circles:
             if name not in self.files:
-                raise ImportFormatError(f"--circles: {name} is not a press of {self.folder}; correct the line")
+                raise ImportFormatError(
+                    f"--circles: {name} is not a press of {self.folder}; correct the row of its circle"
+                )
         refuse_misspelt(self.folder, self.recipe, self.files)
 
     @property
@@ -239,25 +241,25 @@ class _Folder:
         else:
             if self.recipe.no_contact.frames_before is not None:
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': no_contact.frames_before is for videos ({', '.join(VIDEOS)}), and "
-                    f"{path.name} is not one; {CONVERT_VIDEO}; or name no_contact.file"
+                    f"recipe '{self.recipe.name}': no_contact.frames_before is supported only for videos "
+                    f"({', '.join(VIDEOS)}), but {path.name} is not a video; {CONVERT_VIDEO}; or give no_contact.file"
                 )
             force_n = self._picture_force(name)
             self._pictures.clear()
             images = [self._picture(path), *self._without_contact(name)]
             require_alike(self._pictures)
             if self.recipe.no_contact.file is not None and np.array_equal(images[0], images[1]):
-                raise LeftOutError("its image is the one without contact")
+                raise LeftOutError("its image with contact equals the image without contact in every pixel")
             if self.recipe.no_contact.repeat_file is not None and np.array_equal(images[0], images[-1]):
                 raise ImportFormatError(
-                    f"recipe '{self.recipe.name}': no_contact.repeat_file of {name} is its image with contact, "
-                    "pixel by pixel; name a second picture without contact, or leave it out"
+                    f"recipe '{self.recipe.name}': no_contact.repeat_file of {name} equals the image with contact in "
+                    "every pixel; name a second image without contact, or leave repeat_file out"
                 )
         if any(image.shape != images[0].shape for image in images):
             sizes = ", ".join(f"{image.shape[1]} x {image.shape[0]}" for image in images)
             raise ImportFormatError(
-                f"{path}: its image and those without contact have different sizes ({sizes} px); "
-                "all must come from one camera at one size"
+                f"{path}: the images with and without contact have different sizes ({sizes} px); all must come from "
+                "one camera at one size"
             )
         capture = self._placed(name, self._unplaced(name, images, force_n))
         if self.recipe.no_contact.far_pixels:
@@ -314,16 +316,15 @@ class _Folder:
         shown_px = float(np.median(lengths_px))
         if not shown_px > 0.0:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}', scale: check_length_px is {shown_px:g} px in the labels, and must be "
-                "above 0"
+                f"recipe '{self.recipe.name}', scale: check_length_px must be above 0, got {shown_px:g} px in labels"
             )
         ratio = shown_px * scale.side_mm / scale.check_length_mm
         if abs(ratio - 1.0) > SCALE_TOLERANCE_REL:
             right = scale.check_length_mm / shown_px
             raise ImportFormatError(
                 f"recipe '{self.recipe.name}', scale: {scale.check_length_mm:g} mm are {shown_px:.4g} px in the "
-                f"labels, so a pixel is {right:.4g} mm, not {scale.side_mm:.4g} mm; check whether mm per px and px "
-                "per mm are exchanged"
+                f"labels, so a pixel is {right:.4g} mm wide, but the scale gives {scale.side_mm:.4g} mm; check whether "
+                "mm per px and px per mm are exchanged"
             )
 
     def _is_deep(self, name: str) -> bool:
@@ -340,15 +341,14 @@ class _Folder:
             return 16 if self._is_deep(name) else 8
         if path.suffix.lower() == ".exr" or not self._is_deep(name):
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.bit_depth = {bits} belongs to pictures of 16 bits, and "
-                f"{path.name} is not one; leave it out"
+                f"recipe '{self.recipe.name}': picture.bit_depth = {bits} is supported only for 16-bit pictures, but "
+                f"{path.name} is not a 16-bit picture; leave bit_depth out"
             )
         largest, file = max((int(picture.max()), file) for file, picture in self._pictures.items())
         if largest >= 2**bits:
             raise ImportFormatError(
-                f"{file}: its largest value is {largest}, and counts of picture.bit_depth = {bits} end at "
-                f"{2**bits - 1}; they must be right-aligned: divide those of a left-aligned camera by "
-                f"{2 ** (16 - bits)}, or correct bit_depth"
+                f"{file}: its largest value is {largest}, but picture.bit_depth = {bits} allows at most {2**bits - 1}; "
+                f"divide left-aligned values by {2 ** (16 - bits)}, or correct bit_depth"
             )
         return bits
 
@@ -366,13 +366,13 @@ class _Folder:
         of_light = stored.dtype.kind == "f"
         if of_light and full is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.full_scale is missing; state which value of "
-                f"{path.name} becomes the largest of 65535 steps"
+                f"recipe '{self.recipe.name}': picture.full_scale is missing; give the value of {path.name} that "
+                "becomes the largest count, 65535"
             )
         if not of_light and full is not None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': picture.full_scale belongs to OpenEXR images, and {path.name} "
-                "is not one, nor an array of fractions; leave it out"
+                f"recipe '{self.recipe.name}': picture.full_scale is supported only for OpenEXR images and arrays of "
+                f"fractions, but {path.name} contains whole numbers; leave full_scale out"
             )
         self._pictures[path] = stored if full is None else steps_of(stored, path, full)
         return self._arranged(in_colour(self._pictures[path]))
@@ -395,8 +395,8 @@ class _Folder:
                 pictures = [self._picture(path) for path in files[::step]]
                 if len({picture.shape for picture in pictures}) > 1 or len(pictures) < 3:
                     raise ImportFormatError(
-                        f"{self.folder}: a median needs at least 3 presses of one size, got {len(pictures)}; take "
-                        "images without contact"
+                        f"{self.folder}: a median needs at least 3 presses of one size, but the {len(pictures)} "
+                        "pictures are too few or differ in size; take images without contact"
                     )
                 self._median = np.median(pictures, axis=0).astype(np.uint16)
                 self._median_of = {file_of(path) for path in files[::step]}
@@ -413,8 +413,8 @@ class _Folder:
                 raise LeftOutError(f"the image without contact, {pattern}, is missing")
         if len(found) == 2 and np.array_equal(found[0], found[1]):
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no_contact.repeat_file and no_contact.file of {name} are one picture, "
-                "pixel by pixel, which would show a camera without noise; name a second picture, or leave it out"
+                f"recipe '{self.recipe.name}': no_contact.repeat_file and no_contact.file of {name} are equal in every "
+                "pixel, so the camera would seem to have no noise; name a second image, or leave repeat_file out"
             )
         return found
 
@@ -423,15 +423,15 @@ class _Folder:
         before = self.recipe.no_contact.frames_before
         if before is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; state how many frames of "
-                "a video are without contact"
+                f"recipe '{self.recipe.name}': no_contact.frames_before is missing; give the number of frames without "
+                "contact at the start of each video"
             )
         path = self.files[name].path
         self._made_of.add(path)
         video = read_video(path)
         frames = video.frames
         if len(frames) <= before:
-            raise LeftOutError(f"the video has {len(frames)} frames, and the first {before} are without contact")
+            raise LeftOutError(f"its video has {len(frames)} frames, but needs more than the {before} without contact")
         first = small_frame(frame_of(frames[0], path))
         force = self._force(name, video)
         if force is None:
@@ -473,11 +473,11 @@ class _Folder:
                 else read_npy(path, "forces (npy)", ImportFormatError).astype(np.float64).ravel()
             )
         except ValueError as error:
-            raise ImportFormatError(f"{path}: every force must be a finite number: {error}") from None
+            raise ImportFormatError(f"{path}: every force must be a finite number; {error}") from None
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
-                f"{path}: holds {len(values)} forces, the video {frames} frames; one finite number for each is needed, "
-                "or frames = { time = COLUMN } below [force], which matches them by time"
+                f"{path}: has {len(values)} forces for {frames} frames, but must contain a finite number for each; "
+                "correct the file, or match by time with frames = { time = COLUMN } below [force]"
             )
         return np.asarray(values * source.newtons)
 
@@ -490,19 +490,18 @@ class _Folder:
         taken_s = video.times_s if source.per_s is None else np.arange(len(video.frames)) / source.per_s
         if taken_s is None:
             raise ImportFormatError(
-                f"{self.files[name].path}: states no times of its frames; give per_s, frames in a second, below "
-                "[force.frames]"
+                f"{self.files[name].path}: contains no frame times; give per_s (frames per second) below [force.frames]"
             )
         if not times.size or not (np.diff(times) > 0.0).all():
-            raise ImportFormatError(f"{path}: the times in {source.time} must rise from line to line; sort the table")
+            raise ImportFormatError(f"{path}: the times in {source.time} must increase from row to row; sort the table")
         first = times[0] if source.first is None else source.first
         since_s = (times - first) * source.unit_s
         apart_s = float(np.median(np.diff(since_s))) if since_s.size > 1 else 0.0  # recordings end within a sample
         outside = taken_s[0] < since_s[0] - apart_s or taken_s[-1] > since_s[-1] + apart_s
         if outside or ((since_s >= taken_s[0]) & (since_s <= taken_s[-1])).sum() < _LEAST_FORCES:
             raise ImportFormatError(
-                f"{path}: its {len(since_s)} forces are of {since_s[0]:.4g} to {since_s[-1]:.4g} s after the first "
-                f"frame, and the frames of 0 to {taken_s[-1]:.4g} s; correct unit, first and per_s below [force.frames]"
+                f"{path}: its {len(since_s)} forces cover {since_s[0]:.4g} to {since_s[-1]:.4g} s after the first "
+                f"frame, but the frames 0 to {taken_s[-1]:.4g} s; correct unit, first and per_s below [force.frames]"
             )
         return np.asarray(np.interp(taken_s, since_s, values))
 
@@ -513,7 +512,7 @@ class _Folder:
             return None
         if source.column is None:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}', force.column: missing; name the column, array or key of the force"
+                f"recipe '{self.recipe.name}': force.column is missing; name the column, array or key of the force"
             )
         return pushing(self._labels.number(name, source, source.column) * source.newtons)
 
@@ -533,7 +532,7 @@ class _Folder:
                 for value in (contact.circle.column_px, contact.circle.row_px, contact.circle.radius_px)
             )
             if radius <= 0.0:
-                raise LeftOutError(f"its circle has a radius of {radius:g} px; it must be above 0")
+                raise LeftOutError(f"its circle has a radius of {radius:g} px, but the radius must be above 0")
             return self._with_circle(capture, ContactCircle(row_px=row, column_px=column, radius_px=radius), "label")
         if contact.box is not None:
             return self._boxed(name, capture, contact)
@@ -558,17 +557,17 @@ class _Folder:
             right, bottom = left + right, top + bottom
         width_px, height_px = right - left, bottom - top
         if not (width_px > 0.0 and height_px > 0.0):
-            raise LeftOutError(f"its box has no size{_ENDS_OR_SIZES}")
+            raise LeftOutError(f"its box has no width or no height{_ENDS_OR_SIZES}")
         rows, columns = capture.contact.shape[:2]
         beyond = max(-left / width_px, (right - columns) / width_px, -top / height_px, (bottom - rows) / height_px)
         if beyond > _MOST_BEYOND:
             raise ImportFormatError(
-                f"recipe '{self.recipe.name}', contact.box: that of {name} reaches from column {left:g}, row {top:g} "
-                f"to column {right:g}, row {bottom:g} of a picture of {columns} x {rows} px{_ENDS_OR_SIZES}"
+                f"recipe '{self.recipe.name}', contact.box: the box of {name}, column {left:g}, row {top:g} to column "
+                f"{right:g}, row {bottom:g}, reaches too far out of the {columns} x {rows} px picture{_ENDS_OR_SIZES}"
             )
         if capture.indenter.shape == "ball":
             if abs(np.log(width_px / height_px)) > _MOST_OBLONG:
-                raise LeftOutError(f"its box is not around a circle{_ENDS_OR_SIZES}")
+                raise LeftOutError(f"its box is too oblong for the circle of a ball{_ENDS_OR_SIZES}")
             circle = ContactCircle(
                 row_px=(top + bottom) / 2.0, column_px=(left + right) / 2.0, radius_px=(width_px + height_px) / 4.0
             )
@@ -591,7 +590,7 @@ class _Folder:
         if not inside or max(circle.row_px, circle.column_px) < 1.0:  # the latter in mm or m, as it seems
             raise LeftOutError(
                 f"its circle's centre, row {circle.row_px:g}, column {circle.column_px:g}, lies outside the picture of "
-                f"{columns} x {rows} px or in its corner; check the unit (px), and whether row and column are exchanged"
+                f"{columns} x {rows} px or in pixel 0, 0; check the unit (px), and whether row and column are exchanged"
             )
         ball_px = _ball_px(capture)
         if ball_px is not None and circle.radius_px > ball_px:
@@ -610,19 +609,22 @@ class _Folder:
         depths = stretched(measured, picture.corners_px, picture.size_px)
         if not deepest > 0.0:
             raise LeftOutError(
-                f"its map of depths is nowhere above 0 ({depths.min():.3g} to {deepest:.3g} mm): where values fall as "
-                "the gel is pressed in, value_mm is below 0"
+                f"its depth map is nowhere above 0 ({depths.min():.3g} to {deepest:.3g} mm); if the values fall as the "
+                "gel is pressed in, value_mm must be below 0"
             )
         least = source.least_depth_mm or LEAST_DEPTH_SHARE * deepest
         share = float((depths > least).mean())
         if share > _MOST_IN_CONTACT:
             raise LeftOutError(
-                f"its map of depths exceeds {least:.3g} mm in {100 * share:.3g} % of the picture: if it holds heights, "
-                "name the map without contact as rest_file; if all of it is pressed in, give least_depth_mm"
+                f"its depth map exceeds {least:.3g} mm in {100 * share:.3g} % of the picture, which is too much for a "
+                "contact. If the map holds heights, name the map without contact as rest_file; if the whole picture is "
+                "pressed in, give least_depth_mm"
             )
         circle, corners = contact_of_depths(depths, least) if share > 0.0 else (None, ())
         if len(corners) < 3:
-            raise LeftOutError(f"its map, {deepest:.3g} mm at most, exceeds {least:.3g} mm in fewer than 3 pixels")
+            raise LeftOutError(
+                f"its depth map exceeds {least:.3g} mm in fewer than 3 pixels (maximum {deepest:.3g} mm)"
+            )
         pose = capture.indenter
         if pose.depth_mm is None:
             known_mm = self.recipe.indenter.depth_uncertainty_mm

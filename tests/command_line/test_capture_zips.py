@@ -110,7 +110,7 @@ def test_what_belongs_to_no_capture_is_left_out_and_told(made: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("export captures {f}/FOTS --out {t}/a.zip", "FOTS: holds no NAME.capture.json; give a folder of captures"),
+        ("export captures {f}/FOTS --out {t}/a.zip", "FOTS: contains no NAME.capture.json; give a folder of captures"),
         (
             "export captures {f}/fots --out {t}/a.tar",
             "a.tar: must be a zip archive; choose an --out that ends in .zip",
