@@ -52,7 +52,7 @@ def test_statuses(decided, tmp_path):
         outcome = finray(command)
         assert outcome.status == 1
         assert re.search(
-            r"NOT AS WRITTEN: 1 finding\n(note: .*\n)*changed: .*press.json: does not agree with its seal", outcome.out
+            r"NOT AS WRITTEN: 1 finding\n(note: .*\n)*changed: .*press.json: does not match its seal", outcome.out
         )
     for mistake, said in {
         f"trace {tmp_path}/none.json": "none.json: no such file",

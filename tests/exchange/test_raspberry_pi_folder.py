@@ -237,7 +237,9 @@ def test_flattening_needs_tables_and_a_colour_temperature(raw_folder):
 
 
 def test_processed_images_need_a_tuning_and_one_size(processed_folder):
-    with pytest.raises(ImportFormatError, match=r"tone curve of processed images .* unknown without the tuning"):
+    with pytest.raises(
+        ImportFormatError, match=r"tone curve of processed images .* unknown without the camera's tuning"
+    ):
         raspberry_pi_capture(processed_folder, RaspberryPiOptions())
     cv2.imwrite(str(processed_folder / "contact.png"), np.zeros((20, 20, 3), np.uint8))
     with pytest.raises(ImportFormatError, match=r"the images differ in size"):

@@ -272,7 +272,7 @@ def test_unknown_preset_lists_those_there_are():
     ("pad", "message"),
     [
         ({"shape": "cylindrical"}, "radius_mm is missing"),
-        ({"radius_mm": 50.0}, "radius_mm is given, although the pad is flat"),
+        ({"radius_mm": 50.0}, "radius_mm is supported only for shape = .cylindrical., but shape is .flat."),
         ({"shape": "cylindrical", "radius_mm": 17.0}, "more than half the width"),
         ({"shape": "ellipsoidal", "semi_axes_mm": (18.0, 8.0, 60.0)}, "does not cover the corners"),
         ({"shape": "cylindrical", "radius_mm": 18.0}, "leaves no gel at the corners"),
