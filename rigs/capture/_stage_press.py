@@ -234,9 +234,7 @@ class StagePress:
             f"The stage reports its position as {where}. Have you brought it to the zero from which the rig "
             "file counts positions, and is the way to clear_mm free?"
         ):
-            raise NotAllowedError(
-                "stage: nobody has confirmed that it is at its zero; bring the stage there, then resume"
-            )
+            raise NotAllowedError("stage: nobody has confirmed that it is at its zero; bring it there, then resume")
         self._stage.trust_places()
 
     def away(self, watch: Callable[[], None]) -> None:

@@ -496,8 +496,7 @@ def require_pressable(rig: TactileRig, presses: Sequence[PlannedPress]) -> None:
             raise CaptureError(f"{where}: tilt_deg = {press.tilt_deg:g}, but the stage cannot tilt; leave tilt_deg out")
         if (press.until_force_n or 0.0) >= rig.load_cell.force_limit_n:
             raise CaptureError(
-                f"{where}: until_force_n must be below force_limit_n = {rig.load_cell.force_limit_n:g} N of the rig "
-                "file"
+                f"{where}: until_force_n must be below force_limit_n of the rig file, {rig.load_cell.force_limit_n:g} N"
             )
         most_mm = abs(rig.stage.deepest_mm - rig.stage.clear_mm)
         if press.depth_mm > most_mm:
@@ -623,8 +622,7 @@ class _Recorder:
         text = (
             f"camera: {shot.label} gives {self._level_dn(raw.counts):.4g} DN on average, but the first image of no "
             f"contact gave {self._levels_dn[shot.exposure_s]:.4g} DN at the same exposure, a change "
-            f"beyond the allowed factor of {LARGEST_CHANGE:g}. The light, the camera's exposure or the room changed, "
-            "or "
+            f"beyond the factor of {LARGEST_CHANGE:g} that is allowed. Light, camera exposure or room changed, or "
             "something still touches the pad; restart the camera, check the light, then resume (the contact before "
             "this image is repeated). If the first images are the wrong ones, capture into another folder"
         )
