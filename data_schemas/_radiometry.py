@@ -440,7 +440,7 @@ class ImportedCamera(Model):
         if self.black_level_dn >= 2**self.bit_depth - 1:
             raise ValueError(
                 f"black_level_dn = {self.black_level_dn:g} is not below full scale, which is {2**self.bit_depth - 1} "
-                f"DN at bit_depth = {self.bit_depth}; give the counts without light, before any shift"
+                f"DN at bit_depth = {self.bit_depth}; give the raw counts without light"
             )
         return self
 

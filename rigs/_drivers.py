@@ -251,6 +251,8 @@ class _PackagedDevice:
         self._plug_in, self._device, self._protocol = plug_in, device, protocol
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
         if name not in dir(self._protocol):
             return getattr(self._device, name)
         found = self._named(name, lambda: getattr(self._device, name))

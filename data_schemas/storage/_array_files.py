@@ -282,7 +282,8 @@ def parse_in_child(
         except ProcessDiedError as death:
             remedy = "the file is corrupted or malicious"
             if str(death).startswith("took longer"):
-                remedy = f"try again when the computer is less busy; if it takes as long again, cut it, or {remedy}"
+                again = "try again when the computer is less busy; if it takes as long again, the file is too large"
+                remedy = f"{again} (cut it), corrupted or malicious"
             raise error(f"{where}: cannot be read as {what}, because the parser {death}; {remedy}") from None
         declared = {key: DeclaredArray(tuple(shape), dtype) for key, (shape, dtype) in answer["arrays"].items()}
         if not declared:
@@ -360,7 +361,7 @@ def read_frame(path: Path, sha256: str) -> NDArray[np.uint16]:
     content = read_bytes(path, "a frame of the session", ChecksumError)
     if digest_as_read(path) != sha256:
         raise ChecksumError(
-            f"{path}: the frame was changed, because its SHA-256 differs from the session's record; restore the frame"
+            f"{path}: the frame was changed (its SHA-256 differs from the session's record); restore the frame"
         )
     return np.asarray(tiff_image(content, path, ChecksumError))
 

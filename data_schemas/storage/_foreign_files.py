@@ -22,7 +22,7 @@ import re
 import stat
 import threading
 import tomllib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -66,6 +66,7 @@ _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _POINT_NUMBER = re.compile(r"^\s*[+-]?\d*\.\d+\s*$")
 _COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+\s*)$")
+_GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -491,9 +492,7 @@ def read_csv(
         than the header, or the table has too many cells.
     """
     text = read_text(path, what, error, encoding="utf-8-sig")
-    lines: Iterable[str] = io.StringIO(text, newline="")
-    if comments:
-        lines = ("\n" if line.startswith("#") else line for line in lines)
+    lines = ("\n" if comments and line.startswith("#") else line for line in io.StringIO(text, newline=""))
     mark = _mark_between_columns(text) if other_marks else ","
     reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)
     rows: list[tuple[int, list[str]]] = []
@@ -532,8 +531,9 @@ def _with_points(
 ) -> list[tuple[int, list[str]]]:
     """Return rows with decimal points in place of commas, where they can be meant, but for columns of names."""
     texts = {k for k, name in enumerate(header) if name in names}
-    numbers = (cell for _, cells in rows for k, cell in enumerate(cells) if k not in texts)
-    if mark == "," or (mark == "\t" and any(_POINT_NUMBER.match(cell) for cell in numbers)):
+    numbers = [cell for _, cells in rows for k, cell in enumerate(cells) if k not in texts]
+    thousands = all(map(_GROUPED.fullmatch, filter(_COMMA_NUMBER.match, numbers)))  # 1,234 may be one between tabs
+    if mark == "," or (mark == "\t" and (thousands or any(map(_POINT_NUMBER.match, numbers)))):
         return rows
     return [
         (line, [cell if k in texts else _COMMA_NUMBER.sub(r"\1.\2", cell) for k, cell in enumerate(cells)])

@@ -246,7 +246,7 @@ def _load_arrays(path: Path, array_file: Any, declared: dict[str, DeclaredArray]
     content = read_bytes(source, f"the arrays of {path.name}", RecordError, LARGEST_ARRAY_FILE_BYTES)
     if digest_as_read(source) != digest:
         raise ChecksumError(
-            f"{source}: was changed, because its SHA-256 differs from the SHA-256 in {path.name}; restore the file"
+            f"{source}: was changed (its SHA-256 differs from the SHA-256 in {path.name}); restore the file"
         )
     return read_declared_arrays(content, declared, source)
 
@@ -456,8 +456,8 @@ def migrate(path: Path, record_type: type[Record], version: int, body: Body) -> 
     for step in range(version, today):
         if (kind, step) in NOT_MIGRATED:
             raise RecordError(
-                f"{path}: was written by version {version} of the {kind} record, but only version {today} is "
-                f"supported ({NOT_MIGRATED[kind, step]}); run {record_type.written_by} again"
+                f"{path}: version {version} of the {kind} record cannot be converted to version {today} "
+                f"({NOT_MIGRATED[kind, step]}); run {record_type.written_by} again"
             )
         if (kind, step) not in MIGRATIONS:
             continue

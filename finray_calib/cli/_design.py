@@ -520,7 +520,7 @@ def add_lights(actions: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     )  # fmt: skip
     lights.add_argument(
         "--samples", type=path_count, metavar="N",
-        help="even number of light paths: per point of a finger (default: 512) or pixel of a sensor (default: 32)",
+        help="even number of light paths in a batch, per point of a finger (default: 512) or pixel of a sensor (32)",
     )  # fmt: skip
     add_paint(lights)
     add_paints_as_given(lights)

@@ -326,7 +326,7 @@ def run_show(arguments: argparse.Namespace) -> None:
         for warning in part.warnings:
             say(f"  warning: {warning}")
         if error is not None:
-            say(f"  ERROR: {f'the same as of {told[error]}, above' if error in told else error}")
+            say(f"  ERROR: {f'the same as above ({told[error]})' if error in told else error}")
             told.setdefault(error, part.title)
             failed.append(part.title)
     give(rig_name=name, parts=given)

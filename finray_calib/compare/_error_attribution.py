@@ -666,5 +666,5 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
         return f"the simulation is {sigma:.2g} px more blurred than the capture: blur less, or render on a finer mesh"
     return (
         f"the change around the contact, where the gel bulges, is {share} {'stronger' if first > 0.0 else 'weaker'} "
-        "than simulated: use finite elements, not a rigid shape or a table of other presses, or check the gel"
+        "than simulated: use finite elements, not a rigid shape or a table of other presses; if you do, check the gel"
     )

@@ -189,8 +189,7 @@ def read_ball_presses(folder: Path, mm_per_px: float, ball_diameter_mm: float | 
     background = next((folder / name for name in BACKGROUNDS if (folder / name).is_file()), None)
     if background is None:
         raise ImportFormatError(
-            f"{folder}: {' or '.join(BACKGROUNDS)} is missing; add the image without contact to the folder under this "
-            "name"
+            f"{folder}: the image without contact is missing; add it to the folder as {' or '.join(BACKGROUNDS)}"
         )
     scale = require_length(mm_per_px, "millimetres per pixel", "--mm-per-px", LARGEST_PIXEL_MM)
     if ball_diameter_mm is not None:

@@ -342,7 +342,7 @@ def _require_not_below_black(path: Path, counts: Counts, description: BandFolder
         raise ImportFormatError(
             f"{path}: a channel's mean in the region is {lowest.mean():.1f} DN, below camera.black_level_dn = "
             f"{camera.black_level_dn:g} DN by more than its uncertainty ({camera.black_level_uncertainty_dn:g} DN) "
-            "and the noise allow; correct black_level_dn (counts without light, after the shift by left_aligned_bits), "
+            "and the noise allow; correct black_level_dn (raw counts without light), "
             "or replace the image"
         )
 

@@ -358,10 +358,12 @@ def _words(names: Sequence[str]) -> dict[int, str]:
         return dict.fromkeys(differ, "press")
     between = _RUN_OF_DIGITS.split(names[0])
     words: dict[int, str] = {}
-    for k, letter in zip(differ, "abcdefghijklmnopqrstuvwxyz", strict=False):
+    letters = iter("abcdefghijklmnopqrstuvwxyz")
+    for k in differ[:26]:
         front = re.search(r"([a-z]+)[^a-z/]*$", between[k].lower())
-        word = front[1] if front else letter
-        words[k] = letter if word in (*words.values(), "group", "press") else word
+        taken = {*words.values(), "group", "press"}
+        own = front is not None and front[1] not in taken
+        words[k] = front[1] if front is not None and own else next(letter for letter in letters if letter not in taken)
     return words
 
 

@@ -159,7 +159,8 @@ def _dims(names: tuple[str, ...], shape: tuple[int, ...], field: str, unit: str)
         name = names[place] if place < len(names) else str(size)
         if name.isdigit():
             of_light = field == "channels" or (found and found[-1] in {"filter", "column"})
-            of_three = "channel" if of_light else "axis" if unit in UNITS_OF_VECTORS else "axis_3"
+            is_vector = unit in UNITS_OF_VECTORS and place == len(shape) - 1
+            of_three = "channel" if of_light else "axis" if is_vector else "axis_3"
             name = of_three if name == "3" else f"axis_{name}"
         found.append(name if name not in found else f"{name}_{place}")
     return tuple(found)

@@ -212,8 +212,8 @@ def _components(spectra_key: int, laser_nm: float, wavelengths: bytes) -> Compon
 def _continued(spectra: MeasuredSpectra) -> MeasuredSpectra:
     """Return the spectra with tails beyond the learned positions, as a Gaussian of the width of the curve falls.
 
-    A mean of paints with two maxima has not died out at the last position; cut there, it would put a step of a third
-    of its peak into the spectrum.
+    A mean of paints with two maxima has not died out at the last position; cut there, it would put a step of up
+    to a third of its peak into the spectrum.
     """
     step = spectra.u[1] - spectra.u[0]
     beyond = step * np.arange(1, round(_TAIL_REACH / step) + 1)

@@ -505,8 +505,8 @@ def _notes(problem: _Problem, moduli: Sequence[FittedModulus], trusted: bool) ->
     bulk = moduli[1]
     if bulk.verdict != "measured":
         notes.append(
-            f"K/mu is {bulk.verdict}, because the force hardly changes from {bulk.posterior.low95:.3g} to "
-            f"{bulk.posterior.high95:.3g}; a confined block of the same gel would measure K/mu"
+            f"K/mu is {bulk.verdict}, because the force is nearly the same for every K/mu from "
+            f"{bulk.posterior.low95:.3g} to {bulk.posterior.high95:.3g}; a confined block of the gel would measure it"
         )
     for curve, model in zip(problem.curves, problem.models, strict=True):
         notes.append(

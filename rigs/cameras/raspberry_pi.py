@@ -421,8 +421,9 @@ def _camera_number(address: str, cameras: list[dict[str, Any]]) -> int:
     """Return the number of a camera that is there."""
     known = {str(info["Num"]): info for info in cameras}
     if address not in known:
-        there = ", ".join(f"{n} ({info['Model']})" for n, info in known.items()) or "none; check the ribbon cable"
-        raise RefusedError(f"camera {address!r}: does not exist on this Raspberry Pi; its cameras are {there}")
+        seen = ", ".join(f"{n} ({info['Model']})" for n, info in known.items())
+        there = f"its cameras are {seen}" if seen else "it reports no camera, so check the ribbon cable"
+        raise RefusedError(f"camera {address!r}: does not exist on this Raspberry Pi; {there}")
     return int(address)
 
 

@@ -269,8 +269,8 @@ def _answered(answer: Future[RawFrame], limit_s: float) -> RawFrame:
     try:
         return answer.result(limit_s)
     except TimeoutError:
-        if answer.done():  # the camera's own
-            raise
+        if answer.done():  # by the camera's own time-out, or just after this one
+            return answer.result()
         raise TimedOutError(f"camera: has not delivered its frame within {limit_s:g} s; check its cable") from None
 
 

@@ -74,8 +74,8 @@ def force_limit_n(plan: TactileCheckPlan, rig: TactileRig) -> float:
 Floats = NDArray[np.float64]
 
 
-class _StopRequestedError(Exception):
-    """Stands for a person who wants the stage to stop."""
+class _StopRequestedError(RefusedError):
+    """Stands for a person who wants the stage to stop; it passes through drivers as errors of finray do."""
 
 
 class _SilencedError(TimedOutError):

@@ -114,9 +114,9 @@ class Hx711Cell:
                                 "board"
                             )
                         return f"{match[1].decode()}.{match[2].decode()}"
-        said = f"says {heard[-1][:32]!r}" if heard else "says nothing"
+        said = f"sent {heard[-1][:32]!r}, but" if heard else "sent"
         raise TimedOutError(
-            f"{self._name}: {said}, but sent no greeting within {GREET_WITHIN_S:g} s; check the cable and the address "
+            f"{self._name}: {said} no greeting within {GREET_WITHIN_S:g} s; check the cable and the address "
             "('finray rig detect'), and that the board runs rigs/load_cells/firmware"
         )
 

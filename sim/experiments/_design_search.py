@@ -350,7 +350,7 @@ def map_designs(
     if first == second or shape[0] * shape[1] > _MOST_MAPPED:
         raise SimulateError(
             f"--map: {first} and {second} make {shape[0]} x {shape[1]} fingers, but must be two different numbers with "
-            f"at most {_MOST_MAPPED} fingers in all; name two numbers, or widen the steps"
+            f"at most {_MOST_MAPPED} fingers in all; name two different numbers, or widen the steps"
         )
     errors: dict[tuple[int, ...], Floats] = {}
     values = np.full((2, *shape), np.nan)

@@ -54,7 +54,8 @@ def press_design(press: SimulatedPress) -> FingerDesign:
     """
     if press.design is None:
         raise SimulateError(
-            f"{press.name} has no finger design ({press.label}), but only a rendered press has a camera"
+            f"{press.name} has no finger design ({press.label}), so its camera is unknown; give a press that 'finray "
+            "simulate render' wrote"
         )
     return press.design
 

@@ -521,7 +521,6 @@ def with_changed_values(design: D, values: Mapping[str, float]) -> D:
     except ValidationError as refused:
         fields = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
         raise SimulateError(
-            f"{fields}: the fit renders the design one standard uncertainty away, but this is not a valid design "
-            f"({refused.errors()[0]['msg']}); state a smaller uncertainty_rel in the design, or leave the number out "
-            "of --free"
+            f"{fields}: is not a valid design ({refused.errors()[0]['msg']}); give a smaller range, or where a fit "
+            "varies the number by its uncertainty, state a smaller uncertainty_rel or leave the number out of --free"
         ) from refused

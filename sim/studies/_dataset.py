@@ -57,6 +57,8 @@ Floats = NDArray[np.float64]
 SHARDS: Final = "shards"
 VERSION: Final = 1
 """Part of a shard's key: it is raised when the same plan gives other samples."""
+VERSION_OF_PATHS: Final = 2
+"""The same for designs whose indenter moves along a path."""
 
 _SPLIT_CYCLE: Final = 10
 _SPLIT_OF: Final[Mapping[int, DatasetSplit]] = {8: "validation", 9: "test"}
@@ -239,7 +241,7 @@ def sampled_light(plan: DatasetPlan, design: FingerDesign, press: int, light: in
 def shard_key(task: DatasetTask, shard: PlannedShard) -> str:
     """Return the SHA-256 of what a shard is computed from; the number of presses of the whole set is no part of it."""
     known = {
-        "version": VERSION,
+        "version": VERSION_OF_PATHS if task.plan.design.indenter.path else VERSION,
         "plan": task.plan.model_dump(mode="json", exclude={"design": {"provenance"}}),
         **design_digests(task.plan.design, task.design_folder, ["camera"]),
         "paints": dict(task.sources),

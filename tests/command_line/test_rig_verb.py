@@ -263,7 +263,7 @@ def test_show_says_what_does_not_fit_the_rig_file(lab: Path, tmp_path: Path, mon
     outcome = finray(f"rig show {tmp_path}/rig.toml")
     assert outcome.status == 2
     assert outcome.out.count("missing.csv") == 1  # one cause is told once
-    assert outcome.out.count("ERROR: the same as of laser: simulated, above") == 4
+    assert outcome.out.count("ERROR: the same as above (laser: simulated)") == 4
     monkeypatch.setattr(SimulatedLight, "state", lambda self: True)
     monkeypatch.setattr(SimulatedFilterWheel, "position", lambda self: None)
     said = succeed(f"rig show {lab}/rig.toml")

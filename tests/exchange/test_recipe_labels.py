@@ -296,10 +296,14 @@ def test_a_comma_in_the_name_of_a_press_is_no_decimal_mark(tmp_path, names):
     )
 
 
-def test_commas_between_tabs_are_no_decimal_marks_where_numbers_have_points(tmp_path):
-    (numbered(tmp_path) / "t.csv").write_text("press\tz\n0\t0.5\n1\t1,250\n2\t0.7\n3\t0.7\n")
+@pytest.mark.parametrize("others", ["0.7", "2,500"])
+def test_commas_between_tabs_are_no_decimal_marks_where_they_may_part_thousands(tmp_path, others):
+    rows = f"0\t{others}\n1\t1,250\n2\t{others}\n3\t{others}\n"
+    (numbered(tmp_path) / "t.csv").write_text(f"press\tz\n{rows}")
     text = NUMBERED + 'indenter = { shape = "ball", file = "t.csv", press = "press", depth_mm = "z" }'
-    with pytest.raises(ImportFormatError, match=r"z of 1 must be a number, got '1,250'; write it with a decimal point"):
+    with pytest.raises(
+        ImportFormatError, match=r"z of \d must be a number, got '\d,\d+'; write it with a decimal point"
+    ):
         read_by_recipe(tmp_path, told(text))
 
 
@@ -358,6 +362,15 @@ def test_a_begun_recipe_proposes_what_names_of_files_say(tmp_path):
     assert [c.indenter.radius_mm for c in found.values()] == [2.0] * len(PRESSES)
     assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.1 * (k + 1) for k in range(len(PRESSES))])
     assert [c.force_n for c in found.values()] == pytest.approx([k + 2.5 for k in range(len(PRESSES))])
+
+
+def test_numbers_behind_one_letter_get_words_of_their_own(tmp_path):
+    for k in range(2):
+        for m in range(2):
+            put(tmp_path / f"b{k}_{m}.png", PRESSES[2 * k + m])
+    put(tmp_path / "rest.png", UNTOUCHED)
+    assert 'files = "b{b}_{a}.png"' in survey_folder(tmp_path).recipe
+    assert len(read_by_recipe(tmp_path, begun(tmp_path)).captures) == 4
 
 
 def test_a_begun_recipe_proposes_arrays_by_name_and_shape(tmp_path):

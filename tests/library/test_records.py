@@ -24,6 +24,7 @@ from data_schemas import (
     RecordError,
     RegionOfInterest,
 )
+from finray_calib.exchange._record_formats import _dims
 from tests.command_line.records import capture_of, press, sweep
 from tests.documentation.example_records import example_decision, example_results
 
@@ -147,6 +148,7 @@ def test_arrays_have_names_and_units_in_xarray(results, example):
     probes = sweep().to_xarray()
     assert probes["probe_points_mm"].dims == ("probe", "axis")
     assert list(probes["axis"].values) == ["x", "y", "z"]
+    assert _dims(("hexahedron", "3", "3"), (8, 3, 3), "modes_mm", "mm") == ("hexahedron", "axis_3", "axis")
     assert "angles_deg" in probes.coords
     assert example_decision("tie").to_xarray().coords["grid_deg"].size == 121
     assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims

@@ -5,10 +5,11 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MethodType, SimpleNamespace
 
 import pytest
 
@@ -20,6 +21,7 @@ from data_schemas import (
     FilterWheelSettings,
     LampSettings,
     LaserSettings,
+    PlugIn,
     RecordError,
     RefusedError,
     RigFile,
@@ -41,7 +43,9 @@ from rigs import (
     simulated_rig,
     write_rig,
 )
+from rigs._drivers import _PackagedDevice
 from rigs.capture import SessionRequest, capture_paint_session
+from rigs.capture._press_rounds import _StopRequestedError
 from rigs.contracts import FilterWheelContract
 from rigs.simulated import SimulatedCamera
 from tests.capture import finger_session
@@ -378,6 +382,22 @@ def test_an_error_of_a_drivers_own_after_opening_names_device_and_method(
     assert shown.status == 2
     assert re.search(f"ERROR: {named.format('position')}", shown.out), shown.out
     assert "\nfilters and curves\n" in shown.out  # the other parts are shown all the same
+
+
+def test_a_driver_is_not_blamed_for_the_stop_that_a_check_asks_for() -> None:
+    """The check of a stage ends its move by an error of its own."""
+
+    class Mover:
+        def move(self, watch: Callable[[], None]) -> None:
+            watch()
+
+    def ask() -> None:
+        raise _StopRequestedError
+
+    plug_in = SimpleNamespace(refusal=lambda *_: AssertionError("the driver is blamed"))
+    plug_in.call = MethodType(PlugIn.call, plug_in)
+    with pytest.raises(_StopRequestedError):
+        _PackagedDevice(plug_in, Mover(), Mover).move(ask)
 
 
 def test_a_session_whose_driver_fails_ends_with_the_lights_off(
