@@ -178,7 +178,7 @@ class Tracer:
         except FinrayError as error:
             if not faults:  # else they say it already
                 faults.append(_changed(path, error))
-        no_seal = "carries no seal (a checksum of its content), because an early version wrote it"
+        no_seal = "has no seal (a checksum of its content), because an early version wrote it"
         notes = [] if "content_sha256" in envelope else [no_seal]
         frames = 0
         if kind in SESSION_KINDS and path.name == SESSION_NAME:

@@ -6,6 +6,7 @@ Fluorescent paint bleaches with laser light: every frame tells the energy on the
 import math
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -444,7 +445,8 @@ def space_warning(folder: Path, least_bytes: int, most_bytes: int) -> str | None
 def _free_bytes(folder: Path) -> int:
     """Return the free space of the disk that holds a folder, or will hold it."""
     there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    return shutil.disk_usage(there).free
+    disk = shutil.disk_usage(there)
+    return disk.free if disk.total else sys.maxsize  # what is no disk, such as /proc, states no size
 
 
 def _frame_file(number: int, step: Step, exposure_s: float) -> str:

@@ -122,7 +122,7 @@ def test_draws_that_cannot_be_trusted_are_not_certified():
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ('[[limits]]\nquantity = "mode_nm"', "without a limit"),
+        ('[[limits]]\nquantity = "mode_nm"', "neither low nor high is given"),
         ('[[limits]]\nquantity = "mode_nm"\nlow = 2\nhigh = 1', "must not be above"),
         ('[[limits]]\nquantity = "mode_nm"\nlow = 2\n[[limits]]\nquantity = "mode_nm"\nlow = 2', "given twice"),
         ('[[references]]\nof = "sun"\nnumber = "1"\nissued_by = "i"\ncalibrated_on = 2026-01-01', "white reference"),

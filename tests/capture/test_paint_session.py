@@ -420,7 +420,7 @@ def test_frame_that_was_changed_or_leads_outside_is_refused(captured: Captured, 
         read_frame_of(tmp_path / "in", frame)
     copy.unlink()
     copy.symlink_to(out / frame.file)
-    with pytest.raises(RecordError, match="leads out of the session's folder"):
+    with pytest.raises(RecordError, match="points outside the session's folder"):
         read_frame_of(tmp_path / "in", frame)
 
 

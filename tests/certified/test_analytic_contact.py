@@ -188,7 +188,7 @@ def test_a_corner_between_the_points_is_told(depth_mm, caveat):
     assert contact.sunk_mm(u) == pytest.approx(depth_mm / np.sqrt(3.0), abs=1e-5)
     mesh = replace(cells.mesh("mean_dilatation"), surfaces={"coat": quads})
     told = PenaltyTouch(mesh, contact).caveat(u)
-    assert told.startswith(f"; {caveat} (0.20 mm is allowed)") if caveat else told == ""
+    assert told.startswith(f"; {caveat} (at most 0.20 mm is allowed)") if caveat else told == ""
     finer = PenaltyContact(cells.nodes_mm, face_points(quads, 3), cube, pose, 5.0)
     assert (finer.gaps_mm(u) < 0.0).any() == bool(caveat)
 

@@ -288,7 +288,7 @@ CASES = (
     Case(
         "session not finished",
         "radiometry {tmp}/session",
-        r"session: the capture was not finished \(session\.json is missing\); .*finray capture --resume",
+        r"session: was complete .*, but session\.json is missing; restore it .*finray capture --resume",
         session(lambda folder: (folder / "session.json").unlink()),
     ),
     Case(
@@ -456,7 +456,7 @@ CASES = (
     Case(
         "one coat for two tins",
         "check equivalence --first {paints}/red/paint.json --second {paints}/green/paint.json --margin mode_nm=4",
-        r"red/paint\.json and \S+green/paint\.json: are the same calibration; give one calibration for each coat",
+        r"red/paint\.json and \S+green/paint\.json are the same calibration; give one calibration for each coat",
     ),
     Case(
         "day in words",

@@ -62,7 +62,7 @@ def test_stages_run_in_order_in_their_processes(tmp_path):
             {"number": signal.SIGKILL},
             r"^stage two was killed \(SIGKILL\) .*; it had taken 0\.\d\d GiB of",
         ),
-        ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory; it had taken 0\.\d\d GiB"),
+        ({"memory_bytes": 1 << 31}, r"^stage two ran out of memory after it had taken 0\.\d\d GiB"),
     ],
 )
 def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, message):

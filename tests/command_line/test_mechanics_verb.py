@@ -68,7 +68,7 @@ def test_a_push_that_ends_early_is_kept_and_gone_on_with(tmp_path: Path, monkeyp
     errors = [line for line in outcome.err.splitlines() if not line.startswith("warning: the coat's elements of 3 mm")]
     assert len(errors) == 1
     assert re.search(
-        r"the push ended early, at 0\.1 of 0\.2 mm: no equilibrium was found beyond 0\.5 of the load: .* is stored",
+        r"the push ended early, at 0\.1 of 0\.2 mm: no equilibrium was found beyond 0\.5 of the load: .* are stored",
         outcome.err,
     ), outcome.err
     assert "push  0.100 mm" in outcome.out

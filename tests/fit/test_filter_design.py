@@ -66,7 +66,7 @@ def test_no_two_filters_of_a_wheel_have_one_name():
     names = [f.name for f in found.filters]
     assert len(set(names)) == len(names) == 5
     assert FilterWheelSettings(filters=found.filters).filters == found.filters
-    with pytest.raises(FitError, match="come from the 3 others of the catalogue"):
+    with pytest.raises(FitError, match="3 others of the catalogue"):
         design_filters(optics.model_copy(update={"filters": named}), catalogue, 6, [600.0], paints=0)
 
 

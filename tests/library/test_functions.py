@@ -106,7 +106,7 @@ def test_plans_that_ask_a_person_are_left_to_the_command_line(lab, tmp_path):
 def test_designs_come_by_name_or_file(lab, tmp_path):
     assert finray.finger_design("baby-48x18").pad.length_mm == 48.0
     assert finray.finger_design(lab / "finger.toml").name == "small finger"
-    with pytest.raises(SimulateError, match="no preset design 'flat-7x3'; there are flat-70x35, "):
+    with pytest.raises(SimulateError, match="no preset design 'flat-7x3'; valid names are flat-70x35, "):
         finray.finger_design("flat-7x3")
     with pytest.raises(RecordError, match=r"none\.toml"):
         finray.finger_design(tmp_path / "none.toml")
@@ -343,7 +343,7 @@ def test_a_record_that_was_changed_to_what_cannot_be_is_not_stored(lab, tmp_path
     bands = finray.read_record(lab / "bands.json")
     with pytest.raises(
         RecordError,
-        match=r"x\.json: not stored, .*: .reflectance. has 8 entries along .filter., but .fluorescence. has 2",
+        match=r"x\.json: was not written, .*: .reflectance. has 8 entries along .filter., but .fluorescence. has 2",
     ):
         finray.write_record(bands.model_copy(update={"fluorescence": np.zeros((2, 3))}), tmp_path / "x.json")
     with pytest.raises(RecordError, match="BandSignals has no field 'flourescence'; valid names are bleaching"):
@@ -359,7 +359,7 @@ def test_a_decision_without_sweeps_or_with_unknown_choices_is_refused(lab):
     with pytest.raises(DecideError, match="criterion='best' is unknown; it is one of 'average', 'worst'"):
         finray.decide_light_angle(lab / "sweep.json", criterion="best")
     for weights in ([np.inf], [np.nan], [0], ["a"], "a", 3, [1, 1]):
-        with pytest.raises(DecideError, match="do not fit one sweep: give one number above 0 for each sweep"):
+        with pytest.raises(DecideError, match="do not fit one sweep; give one number above 0 for each sweep"):
             finray.decide_light_angle(lab / "sweep.json", weights=weights)
 
 

@@ -264,7 +264,7 @@ def test_presets_survive_their_toml_and_have_a_shape(name):
 
 
 def test_unknown_preset_lists_those_there_are():
-    with pytest.raises(SimulateError, match="no preset design 'huge'; there are flat-70x35, "):
+    with pytest.raises(SimulateError, match="no preset design 'huge'; valid names are flat-70x35, "):
         preset_design("huge")
 
 

@@ -295,9 +295,9 @@ def test_all_objectives_of_a_finger(llvm, paints, monkeypatch):
 
 
 def test_a_scalar_renderer_is_refused(scalar, paints):
-    with pytest.raises(SimulateError, match="needs a compiled variant"):
+    with pytest.raises(SimulateError, match="need a compiled variant"):
         objectives.angle_objectives(painted(paints, scalar), np.eye(3)[None], [0.0, 30.0], 1)
-    with pytest.raises(SimulateError, match="needs a compiled variant"):
+    with pytest.raises(SimulateError, match="need a compiled variant"):
         light_angle_sweep(painted(paints, scalar), {}, [0.0, 30.0], ProbePaths(10, 2, 1), {}, further_objectives=True)
 
 

@@ -113,7 +113,7 @@ def test_distances_are_measured_in_half_widths(scalar, paints):
 
 
 def test_what_cannot_be_rendered_is_refused(scalar, paints):
-    with pytest.raises(SimulateError, match="missing: green"):
+    with pytest.raises(SimulateError, match="but green is missing"):
         render_press(DESIGN, {"red": paints["red"]}, scalar)
     for samples in (0, 7):
         with pytest.raises(SimulateError, match=f"even number of at least 2 .*, got {samples}"):
