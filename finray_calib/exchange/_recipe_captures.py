@@ -493,9 +493,7 @@ class _Folder:
                 f"{self.files[name].path}: contains no frame times; give per_s (frames per second) below [force.frames]"
             )
         if not times.size or not (np.diff(times) > 0.0).all():
-            raise ImportFormatError(
-                f"{path}: the times in {source.time} must increase; sort them, one row for each time"
-            )
+            raise ImportFormatError(f"{path}: times in {source.time} must increase; sort them, one row for each time")
         first = times[0] if source.first is None else source.first
         since_s = (times - first) * source.unit_s
         apart_s = float(np.median(np.diff(since_s))) if since_s.size > 1 else 0.0  # recordings end within a sample

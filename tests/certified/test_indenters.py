@@ -173,7 +173,7 @@ def test_a_file_beside_the_pad_is_refused(tmp_path):
     [
         ({"shape": "cuboid"}, "size_mm is missing"),
         ({"shape": "mesh"}, "file is missing"),
-        ({"shape": "ball", "file": "a.stl"}, "file is supported only for shape = "mesh""),
+        ({"shape": "ball", "file": "a.stl"}, "file is supported only for shape = .mesh."),
         ({"shape": "cuboid", "size_mm": (9.0, 1.0, 9.0)}, "edge_radius_mm = 1 mm must be at most half"),
         ({"friction": -0.1}, "must be at least 0"),
     ],
