@@ -67,11 +67,16 @@ ODD = {
     r"\b(error|width|stiffness|root mean square)[^.;]{0,60} over (that|those) (of|before|at)\b": "divided by: x / y",
     r"\b(that|which) (did not|no) teach|\bpress(es)? taught\b": "trained on; training presses",
     r"\bwithin each other\b": "nested",
+    r"\bholds [^.;]{1,60}, where [^.;]{1,60} (is|are) needed": "contains X, but Y is needed",
+    r"\bneeded (is|are)\b": "must be",
+    r"\bdamaged (lines?|data|message)\b": "corrupted data",
+    r"\bthe ones? of\b": "repeat the noun",
+    r"\b(is|are) understood\b": "is supported",
     r"\b(by|with|under) (the|a) (penalty|barrier)\b(?! (contact|method))": "with penalty contact, with barrier contact",
     r"\bdo(es)? not (hold|carry) (contact|uncertainty)\b": "leaves it out",
     r"\bas a witness\b|\bits own witness\b|\bwitness(es)? (of|that)\b": "confirms that",
     r"\bpress less deep\b": "press less deeply",
-    r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "holds band signals, where a paint is needed",
+    r"\bis a [A-Z][a-z]+[A-Z]\w+, a [A-Z][a-z]+[A-Z]\w+ is needed": "contains band signals, but a paint is needed",
 }
 """What was read twice -> what to write; a page says it in other words, or not."""
 MOST_WORDS = 40_000
