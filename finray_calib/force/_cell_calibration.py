@@ -106,9 +106,7 @@ def calibrate_cell(
     readings = counts.shape[1]
     means, sds = counts.mean(axis=1), counts.std(axis=1, ddof=1)
     if not sds.all():
-        raise CurveError(
-            "load cell: all readings of a load are equal, so the cell is stuck; check amplifier and wiring"
-        )
+        raise CurveError("load cell: is stuck, because all readings of a load are equal; check amplifier and wiring")
     noise_counts = float(np.sqrt(np.mean(sds**2)))
     # one scatter for all loads: that of a single one is known too badly to weigh with
     uncertainties = np.full(len(means), noise_counts / np.sqrt(readings))

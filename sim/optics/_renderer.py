@@ -131,8 +131,8 @@ def _require_scalar(variant: str) -> None:
             f"contains it ({install_command(library)}), then try again"
         )
     raise MissingExtraError(
-        f"Mitsuba does not run here ({failure}; its wheels for x86-64 need a processor with AVX). Render on another "
-        "computer; capture, radiometry, fit, compare and decide do not need Mitsuba"
+        f"Mitsuba does not run here, because {failure} (its wheels for x86-64 need a processor with AVX). Render on "
+        "another computer; capture, radiometry, fit, compare and decide do not need Mitsuba"
     )
 
 

@@ -177,7 +177,7 @@ def stand_in(folder, monkeypatch, *commands):
 @pytest.mark.parametrize(
     ("commands", "match"),
     [
-        (["echo ' *ERROR: too many cutbacks'", "exit 201"], "first increment: CalculiX stopped: too many cutbacks"),
+        (["echo ' *ERROR: too many cutbacks'", "exit 201"], "first increment .CalculiX stopped: too many cutbacks."),
         (["exit 3"], "CalculiX stopped: it ended with status 3"),
         (["echo Job finished"], "it gave no reason"),
         (["sleep 60 & wait"], "CalculiX was ended after 0.3 s"),

@@ -208,7 +208,8 @@ def test_an_increment_of_other_contact_points_is_not_continued(halfway):
     # the cylinder lies across the whole pad: its border touches, where older versions had no points
     older = {"points_per_side": None, "points_on_border": None}
     with pytest.raises(
-        SimulateError, match=r"no point of the coat's border, which the indenter touches .* Press from the start"
+        SimulateError,
+        match=r"no point of the coat's border, which the indenter touches .* Press again from the beginning",
     ):
         stored_press(record.model_copy(update=older), to_depth(3.0))
     # a blunt ball amid the pad touches inner faces alone, whose points have stayed

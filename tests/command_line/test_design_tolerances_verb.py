@@ -122,7 +122,7 @@ def test_a_pad_that_no_finger_has_is_refused_before_any_work(paints: Path, tmp_p
         ("--pad 60", "must be LENGTHxWIDTH"),
         ("--pad 60x-3", "must be LENGTHxWIDTH"),
         ("--pad 60x500", "pad.width_mm: 500 mm is outside 5 to 300 mm"),
-        ("", "existed: holds something other than an assessment"),
+        ("", "existed: contains something other than an assessment"),
     ):
         (tmp_path / "existed").mkdir(exist_ok=True)
         (tmp_path / "existed" / "notes.txt").write_text("mine")
