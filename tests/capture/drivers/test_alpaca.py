@@ -90,7 +90,7 @@ def test_a_wheel_that_rests_elsewhere_is_at_the_wrong_position(monkeypatch: pyte
     [
         ((0x400, 200), RefusedError, r"'position' fails with error 0x400 \(not implemented\): scripted"),
         ((0x401, 200), RefusedError, r"error 0x401 \(invalid value\)"),
-        ((0x407, 200), LostError, r"error 0x407 \(not connected\): scripted; check the device's cable"),
+        ((0x407, 200), LostError, r"error 0x407 \(not connected\): scripted; check the cable of the device"),
         ((0x500, 200), RefusedError, r"error 0x500 \(of the driver\)"),
         ((0, 404), RefusedError, "rejected '.*' with HTTP status 404"),
         (b"<html>", LostError, "answers 'position' with '<html>', which is not an Alpaca answer"),
