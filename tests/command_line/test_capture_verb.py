@@ -115,8 +115,10 @@ def test_a_record_that_was_lost_is_asked_for_and_can_be_written_anew(lab: Path, 
     (out / "manifest-sha256.txt").unlink()  # as the sentence says
     succeed(f"capture --resume {out}")
     assert not verify_session(out).faults
-    # a busy machine may take the last dark frames again, so only the names of the files are compared
-    assert [f.file for f in read_session(out).frames] == [f.file for f in read_session(lab / "session").frames]
+    rebuilt, first = read_session(out).frames, read_session(lab / "session").frames
+    assert [frame.file for frame in rebuilt] == [frame.file for frame in first]
+    # on a busy machine a dark frame was once not that of before, so frames with light alone are compared in all
+    assert [f for f in rebuilt if f.frame_type != "dark"] == [f for f in first if f.frame_type != "dark"]
 
 
 def test_resume_says_what_it_sets_aside(lab: Path, tmp_path: Path) -> None:
