@@ -34,7 +34,7 @@ def test_exchange_finds_the_best_of_all_sets(screen):
     ranks = sorted(every, key=every.get)
     assert ranks.index(chosen) <= 2  # the last sweep is of the mean error, the others of its square
     assert error == pytest.approx(screen.error(chosen))
-    assert error <= screen.error(ranks[0])
+    assert error <= screen.error(ranks[0]) * (1 + 1e-12)  # the same set may be summed in another order
 
 
 def test_more_filters_never_tell_less(screen):
