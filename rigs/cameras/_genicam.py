@@ -222,12 +222,13 @@ def set_exposure(features: Features, exposure_s: float, camera: str) -> float:
     """
     name = exposure_name(features, camera)
     low_us, high_us = features.bounds(name)
-    if not low_us <= 1e6 * exposure_s <= high_us:
+    wanted_us = round(1e6 * exposure_s, 6)  # the product may miss a bound by its last bit
+    if not low_us <= wanted_us <= high_us:
         raise RefusedError(
             f"{camera}: cannot expose for {exposure_s:g} s, only for {1e-06 * low_us:g} to {1e-06 * high_us:g} s; "
             "correct shortest_exposure_s and longest_exposure_s in the rig file"
         )
-    features.set_number(name, 1e6 * exposure_s)
+    features.set_number(name, wanted_us)
     actual_s = 1e-6 * features.number(name)
     if abs(actual_s - exposure_s) > LINE_S + CLOCK_REL * exposure_s:
         raise RefusedError(
@@ -255,7 +256,7 @@ def require_new(label: tuple[int, float], last: tuple[int, float] | None, camera
 
 
 def _whole_frame(features: Features, settings: CameraSettings, camera: str) -> None:
-    """Read out the frame of the rig file, centred on the sensor."""
+    """Read out the frame of the rig file, from the first row and column of the sensor."""
     for size, offset, wanted in (
         ("Width", "OffsetX", settings.width_px),
         ("Height", "OffsetY", settings.height_px),

@@ -144,6 +144,18 @@ def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
     assert configure(camera, SETTINGS, "camera").bits == 16
 
 
+def test_the_ends_of_the_range_are_allowed() -> None:
+    """In floating-point numbers 1e6 * 0.000249 is below 249, and 1e6 * 0.001007 above 1007."""
+    camera = nodes()
+    camera.limits["ExposureTime"] = (249.0, 1007.0)
+    for exposure_s, exposure_us in ((0.000249, 249.0), (0.001007, 1007.0)):
+        assert set_exposure(camera, exposure_s, "camera") == pytest.approx(exposure_s, rel=1e-12)
+        assert camera.values["ExposureTime"] == exposure_us
+    for outside_s in (0.0002489, 0.0010071):
+        with pytest.raises(RefusedError, match=r"only for 0\.000249 to 0\.001007 s"):
+            set_exposure(camera, outside_s, "camera")
+
+
 def test_exposure_that_is_kept_silently_is_refused() -> None:
     assert set_exposure(nodes(), 0.02, "camera") == pytest.approx(0.02)
     with pytest.raises(RefusedError, match=r"an exposure of 0\.02 s was requested, but the camera uses 0\.005 s"):
