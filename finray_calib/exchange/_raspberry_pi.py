@@ -87,7 +87,7 @@ def read_image(path: Path, order: BayerOrder | None, bit_depth: BitDepth | None)
     ImportFormatError
         The file is unreadable, or what its values mean cannot be known.
     MissingExtraError
-        A packed or compressed DNG needs rawpy.
+        A packed, compressed or coded DNG needs rawpy.
     """
     if path.suffix.lower() == ".dng":
         return _read_dng(path)

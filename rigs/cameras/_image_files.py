@@ -1,7 +1,8 @@
 """Images in files and streams: raw Bayer counts, and pictures whose size is known before they are decoded.
 
 Raw counts come from TIFF, PNG, DNG, and JPEG of legacy Raspberry Pi cameras with appended raw data; pictures come from
-PNG and JPEG that are whole. Of DNG the TIFF reader takes the plain ones, LibRaw (rawpy) packed and compressed ones.
+PNG and JPEG that are whole. Of DNG the TIFF reader takes the plain ones, LibRaw (rawpy) packed, compressed and coded
+ones.
 """
 
 import io
@@ -30,6 +31,7 @@ from data_schemas.storage import (
 )
 
 COLOUR_FILTER_ARRAY: Final = 32803
+LINEARIZATION_TAG: Final = 50712
 ORDER_OF_PATTERN: Final[dict[str, BayerOrder]] = {
     "".join(str("RGB".index(colour)) for colour in order): order for order in FIRST_RED
 }
@@ -62,7 +64,7 @@ def read_dng(content: bytes, path: Path) -> DngImage:
     BadFrameError
         It is broken, holds no raw image, or one of another pattern than 2 x 2 Bayer.
     MissingExtraError
-        It is packed or compressed, which needs rawpy.
+        It is packed, compressed or coded by a table, which needs rawpy.
     """
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as file:
@@ -86,9 +88,10 @@ def read_dng(content: bytes, path: Path) -> DngImage:
 
 
 def _plain_counts(page: Any) -> NDArray[np.uint16] | None:
-    """Return the active area of an uncompressed page of one or two whole bytes a count; None of another."""
+    """Return the active area of an uncompressed page of one or two whole bytes a count, without a table; else None."""
     require_decoded_size(page)
-    if page.compression != 1 or page.bitspersample not in (8, 16) or np.dtype(page.dtype).kind != "u":
+    is_coded = LINEARIZATION_TAG in page.tags
+    if is_coded or page.compression != 1 or page.bitspersample not in (8, 16) or np.dtype(page.dtype).kind != "u":
         return None
     counts = np.asarray(page.asarray(), dtype=np.uint16)
     top, left, bottom, right = page.tags.valueof("ActiveArea") or (0, 0, *counts.shape[:2])
@@ -101,8 +104,8 @@ def _by_libraw(content: bytes, path: Path) -> tuple[NDArray[np.uint16], list[int
         import rawpy  # the child needs it; without it there is no need for one
     except ImportError as error:
         raise MissingExtraError(
-            f"{path}: reading a packed or compressed DNG needs rawpy ({error}); install it with pip install "
-            "'finray-calib[dng]'"
+            f"{path}: reading a DNG whose counts are packed, compressed or coded by a table needs rawpy ({error}); "
+            "install it with pip install 'finray-calib[dng]'"
         ) from None
     del rawpy
     value, arrays = parse_in_child(f"{__name__}:unpacked_dng", content, path, "DNG", BadFrameError)
@@ -110,7 +113,7 @@ def _by_libraw(content: bytes, path: Path) -> tuple[NDArray[np.uint16], list[int
 
 
 def unpacked_dng(content: bytes, where: str) -> tuple[list[int], dict[str, NDArray[np.uint16]]]:
-    """Decode a packed or compressed DNG by LibRaw; it runs in a child process, for LibRaw is C++ and files lie."""
+    """Decode what is no plain DNG by LibRaw; it runs in a child process, for LibRaw is C++ and files lie."""
     import rawpy
 
     try:
@@ -147,7 +150,7 @@ def read_raw(path: Path) -> NDArray[np.uint16]:
     BadFrameError
         The file is unreadable, or holds a processed picture.
     MissingExtraError
-        A packed or compressed DNG needs rawpy.
+        A packed, compressed or coded DNG needs rawpy.
     """
     suffix = path.suffix.lower()
     if suffix in JPEG_SUFFIXES:
@@ -350,7 +353,7 @@ def _png_bytes(content: bytes, where: object, error: type[FinrayError]) -> int:
 
 def _jpeg_bytes(content: bytes, where: object, error: type[FinrayError]) -> int:
     """Return how many bytes a JPEG's pixels have; its end mark must be there, as a decoder fills in what is missing."""
-    if content.find(JPEG_END, len(JPEG_START)) < 0 or not _ends_whole(content):
+    if not _ends_whole(content):
         raise error(f"{where}: is a truncated JPEG; copy it again")
     try:
         height, width = jpeg_size_px(content, str(where))
@@ -360,11 +363,18 @@ def _jpeg_bytes(content: bytes, where: object, error: type[FinrayError]) -> int:
 
 
 def _ends_whole(content: bytes) -> bool:
-    """Return whether the last scan of a JPEG ends with its mark; cameras may write more data behind it."""
-    return content.rstrip(PADDING).endswith(JPEG_END) or content.rfind(JPEG_END) > content.rfind(b"\xff\xda")
+    """Return whether a JPEG reaches its end mark, segment by segment; cameras may write any data behind it."""
+    at = len(JPEG_START)
+    while (marker := _MARKER.search(content, at)) is not None:
+        if marker[0].endswith(JPEG_END):
+            return True
+        at = marker.end() + int.from_bytes(content[marker.end() : marker.end() + 2])
+    return False
 
 
 JPEG_START, JPEG_END, PADDING = b"\xff\xd8", b"\xff\xd9", b"\x00\r\n"
+# In the data of a scan 0xFF stands before 0, or before the number of a restart (ITU-T T.81, B.1.1.5).
+_MARKER: Final = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)
 
 
 def decoded_jpeg(body: bytes, name: str) -> NDArray[np.uint8]:

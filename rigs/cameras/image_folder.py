@@ -1,6 +1,5 @@
 """A folder of images in place of a camera: a stored session again, or raw images that something else took."""
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,7 +88,7 @@ class ImageFolder:
         )
 
     def _fits(self, number: int, exposure_s: float) -> bool:
-        return math.isclose(self._images[number].exposure_s, exposure_s, rel_tol=EXPOSURE_TOLERANCE_REL)
+        return abs(self._images[number].exposure_s - exposure_s) <= EXPOSURE_TOLERANCE_REL * exposure_s
 
     def _refuse(self, exposure_s: float) -> NoReturn:
         """Say why there is no image."""

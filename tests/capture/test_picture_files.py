@@ -36,6 +36,20 @@ def test_a_picture_that_is_cut_off_is_refused_at_every_length(tmp_path, suffix):
             read_picture(path)
 
 
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_any_data_may_follow_a_whole_jpeg(tmp_path, flags):
+    """Phones append a film of the moment, whose bytes look like any mark of a JPEG."""
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), PICTURE, flags)
+    content, seen = path.read_bytes(), read_picture(path)
+    for more in (b"\xff\xda a film", b"\xff\xd8\xff\xda", b"\r\n\0"):
+        path.write_bytes(content + more)
+        np.testing.assert_array_equal(read_picture(path), seen)
+        path.write_bytes(content[:-2] + more)
+        with pytest.raises(BadFrameError, match="truncated"):
+            read_picture(path)
+
+
 def test_every_changed_byte_of_a_png_is_noticed(tmp_path):
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), PICTURE)

@@ -2,6 +2,7 @@
 
 import struct
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,18 @@ def test_exposure_that_no_image_has_is_refused(tmp_path: Path) -> None:
         ):
             camera.expose(0.04, DEADLINE_S)
         np.testing.assert_array_equal(camera.expose(0.02, DEADLINE_S).counts, COUNTS)
+
+
+@pytest.mark.parametrize(("exposure_s", "fits"), [(0.0194, True), (0.01895, False), (0.02099, True), (0.02104, False)])
+def test_image_fits_where_a_capture_takes_its_exposure(tmp_path: Path, exposure_s: float, fits: bool) -> None:
+    """Within 5 % of what is asked for, as the capture engine counts it: its refusal would end the capture."""
+    write_tiff(tmp_path / "a.tiff", COUNTS)
+    (tmp_path / "frames.csv").write_text(f"file,exposure_s\na.tiff,{exposure_s}\n")
+    with (
+        open_camera(settings(tmp_path), Path()) as camera,
+        nullcontext() if fits else pytest.raises(RefusedError, match="none of the 1 unused images"),
+    ):
+        assert camera.expose(0.02, DEADLINE_S).exposure_s == exposure_s
 
 
 def test_stored_session_comes_back_as_it_was(captured: tuple[Path, CaptureSession, list[Any]]) -> None:
@@ -238,6 +251,15 @@ def test_active_area_of_a_dng_is_cut_out(tmp_path: Path) -> None:
     # LibRaw begins a row and a column later, with red: the same frame after the cut.
     by_libraw = read_dng(packed_dng(COUNTS, ((50829, "I", [3, 5, 63, 95]),)), tmp_path / "a.dng")
     np.testing.assert_array_equal(rggb_frame(by_libraw.counts, by_libraw.order), rggb_frame(found.counts, found.order))
+
+
+def test_coded_counts_of_a_dng_are_linear_again(tmp_path: Path) -> None:
+    """Eight bits that a table makes more of (DNG 1.6, LinearizationTable): the codes are not proportional to light."""
+    require_module("rawpy", "rawpy")
+    table = np.arange(256, dtype=np.uint16) ** 2 // 64
+    codes = (COUNTS >> 2).astype(np.uint8)
+    write_dng(tmp_path / "a.dng", codes, PATTERNS["RGGB"], (50712, "H", 256, tuple(table.tolist()), True))
+    np.testing.assert_array_equal(read_dng((tmp_path / "a.dng").read_bytes(), tmp_path / "a.dng").counts, table[codes])
 
 
 def test_broken_and_missing_dng(tmp_path: Path) -> None:
