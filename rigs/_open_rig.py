@@ -64,6 +64,8 @@ if TYPE_CHECKING:
 THIS_COMPUTER: Final = "this computer"
 _PORT_WRAPPERS: Final = ("spy", "alt")
 """Schemes of pyserial that hold the path of a port: ``spy:///dev/ttyUSB0``."""
+_SERIAL_SERVERS: Final = ("socket", "rfc2217")
+"""Schemes of pyserial that lead to a port of a server: what follows its number are options."""
 _CREDENTIALS: Final = struct.Struct("3i")
 """Process, user and group of the other end of a socket."""
 
@@ -87,7 +89,8 @@ def device_keys(driver: str, address: str) -> frozenset[str]:
         return frozenset({f"{driver} {address}"})
     if parts.scheme and host:
         pieces = [piece.lstrip("0") or "0" if piece.isdecimal() else piece for piece in parts.path.split("/") if piece]
-        path = "/".join(pieces) + (f"?{parts.query}" if parts.query else "")
+        is_served = parts.scheme in _SERIAL_SERVERS
+        path = "" if is_served else "/".join(pieces) + (f"?{parts.query}" if parts.query else "")
         return frozenset(f"{name}:{port}/{path}" for name in _hosts(host))
     path = parts.path if parts.scheme in _PORT_WRAPPERS else address
     return frozenset({_port_key(path) or f"{driver} {address.strip()}"})

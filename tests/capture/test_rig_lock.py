@@ -117,6 +117,9 @@ def test_every_name_of_this_computer_leads_to_one_device(driver: str, form: str)
         ("alpaca", "http://localhost:80/switch/0/2", "http://localhost/switch/00/02/"),
         ("alpaca", "http://192.0.2.7:80/switch/0/2", "HTTP://192.0.2.7/switch/0/2"),
         ("mjpeg", "http://rig.invalid:80/stream", "http://RIG.invalid./stream"),
+        # options of pyserial
+        ("arduino", "socket://localhost:5000", "socket://127.0.0.1:5000?logging=debug"),
+        ("thorlabs", "rfc2217://192.0.2.7:5000", "rfc2217://192.0.2.7:5000/?ign_set_control&timeout=5"),
     ],
 )
 def test_other_ways_to_write_an_address_are_the_same_device(driver: str, one: str, other: str) -> None:
