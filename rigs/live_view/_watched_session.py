@@ -201,7 +201,9 @@ class WatchedSession(SessionWatch):
         self._references: dict[tuple[str, float], tuple[float, float]] = {}
         self._drifts: dict[str, Drift] = {}
         self._calls: DarkenedCalls | None = None
-        self._stored: Counter[str] = Counter()
+        # by number: a frame that is taken again replaces the one before
+        self._stored: dict[int, str] = {}
+        self._resumed = 0
         self._planned: Counter[str] = Counter()
         self._least_snr: dict[str, float] = {}
 
@@ -356,11 +358,12 @@ class WatchedSession(SessionWatch):
             now = self._numbers
             match event:
                 case "frame":
-                    if what.get("light", "off") != "off" and what.get("filter_name"):
-                        self._stored[str(what["filter_name"])] += 1
-                    self._publish(stored=now.stored + 1, filters=self._filters())
+                    is_lit = what.get("light", "off") != "off"
+                    self._stored[int(what["sequence"])] = str(what.get("filter_name") or "") if is_lit else ""
+                    self._publish(stored=self._resumed + len(self._stored), filters=self._filters())
                 case "resume":
-                    self._publish(stored=now.stored + int(what["frames"]))
+                    self._resumed = int(what["frames"])
+                    self._publish(stored=self._resumed)
                 case "fault":
                     times = now.repeated + int(what["times"])
                     self._publish(repeated=times, told=f"repeated: {what['device']}: {what['what']}")
@@ -371,8 +374,10 @@ class WatchedSession(SessionWatch):
                 case "repair":
                     self._publish(repairs=now.repairs + 1)
                 case "set aside":
-                    self._stored.clear()
-                    self._publish(stored=now.stored - int(what["frames"]), filters=self._filters())
+                    self._resumed = 0
+                    for of_frames in (self._stored, self._least_snr, self._references, self._drifts):
+                        of_frames.clear()
+                    self._publish(stored=0, drifts=(), filters=self._filters())
                 case "filter proof":
                     self._publish(told=f"filters {what['verdict']}: {what['text']}")
 
@@ -380,7 +385,7 @@ class WatchedSession(SessionWatch):
         """Learn filter and exposure (s) of the frames that are still to be taken."""
         with self._changed:
             self._time.expect([exposure_s for _, exposure_s in shots])
-            self._planned = self._stored + Counter(name for name, _ in shots if name is not None)
+            self._planned = self._stored_of() + Counter(name for name, _ in shots if name is not None)
             self._publish(left=self._time.frames_left, filters=self._filters())
 
     def frame(self, label: str, raw: RawFrame, step: Step | None = None) -> None:
@@ -431,9 +436,13 @@ class WatchedSession(SessionWatch):
         label = f"{kind} {step.filter_name or 'no filter'}"
         self._drifts[kind] = Drift(label, rate_dn_per_s / first[0] - 1.0, uncertainty)
 
+    def _stored_of(self) -> "Counter[str]":
+        return Counter(name for name in self._stored.values() if name)
+
     def _filters(self) -> tuple[FilterCount, ...]:
-        names = dict.fromkeys((*self._planned, *self._stored))
-        return tuple(FilterCount(n, self._stored[n], self._planned[n], self._least_snr.get(n, 0.0)) for n in names)
+        stored = self._stored_of()
+        names = dict.fromkeys((*self._planned, *stored))
+        return tuple(FilterCount(n, stored[n], self._planned[n], self._least_snr.get(n, 0.0)) for n in names)
 
     # ------------------------------------------------------------------ the lights
     @property

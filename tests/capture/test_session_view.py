@@ -41,7 +41,7 @@ from rigs.live_view._watched_session import (
     FilterCount,
     SessionNumbers,
 )
-from rigs.simulated import SimulatedCamera, SimulatedLight
+from rigs.simulated import Bench, SimulatedCamera, SimulatedLight
 from tests.architecture.test_conventions import ROOT
 from tests.capture.drivers.programs import require
 from tests.capture.finger_session import plan_of, rig_of, scene
@@ -293,6 +293,33 @@ def test_what_is_healed_is_counted(small, short, captured_short, tmp_path, monke
         made = capture_paint_session(small, short, request(session, tmp_path / "out"))
     assert session.latest(-1, 0.0)[1].retaken == 2
     assert frames_of(made) == frames_of(captured_short)
+
+
+@pytest.mark.parametrize("stays_dim", [False, True])
+def test_frames_that_no_longer_count_are_not_counted(small, short, tmp_path, monkeypatch, stays_dim):
+    """The lamp dims once frames are stored, until somebody mends it; or stays so, and all frames are taken again."""
+    session, is_dim = watched(small, short), threading.Event()
+    shining = Bench.electrons_per_s
+
+    def dimmed(bench, *what):
+        stored = session.latest(-1, 0.0)[1].stored
+        if stored and not is_dim.is_set() and not session.latest(-1, 0.0)[1].repairs:
+            is_dim.set()
+        return (0.7 if is_dim.is_set() else 1.0) * shining(bench, *what)
+
+    def mended(text: str) -> bool:
+        if not stays_dim:
+            is_dim.clear()
+        return session.mend(text)
+
+    monkeypatch.setattr(Bench, "electrons_per_s", dimmed)
+    with person(session):
+        made = capture_paint_session(small, short, request(session, tmp_path / "out"), mend=mended)
+    events = [line["event"] for line in read_journal(tmp_path / "out")]
+    assert ("set aside" if stays_dim else "as before") in events
+    _, numbers = session.latest(-1, 0.0)
+    assert (numbers.repairs, numbers.stored, numbers.left) == (1, len(made.frames), 0)
+    assert all(f.stored == f.planned > 0 for f in numbers.filters)
 
 
 def test_a_session_of_presses(sensor, tmp_path):
