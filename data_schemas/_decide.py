@@ -396,8 +396,8 @@ class FingerTolerances(Record):
         "half-ranges"
     )
     checked_within: Annotated[int, Field(ge=0)] = Field(
-        description="share of fingers within the allowed growth at this factor, among fingers that were evaluated "
-        "directly with other paths"
+        description="number of fingers within the allowed growth at together_factor (at the end of the emulated box "
+        "where there is none), among checked_fingers that were evaluated directly with other paths"
     )
     checked_fingers: Annotated[int, Field(ge=0)]
     box_factor: Annotated[float, Field(gt=0.0)] = Field(description="half-ranges of the emulated box / the given ones")

@@ -154,7 +154,7 @@ def json_schema(record_type: type[Record]) -> dict[str, Any]:
             "content_sha256": {
                 "type": "string",
                 "pattern": "^[0-9a-f]{64}$",
-                "description": "seal: SHA-256 of the other four as canonical JSON (sorted keys, no spaces, UTF-8)",
+                "description": "seal: SHA-256 of all others as canonical JSON (sorted keys, no spaces, UTF-8)",
             },
         },
         "required": ["kind", "schema_version", "array_file", "record", "content_sha256"],

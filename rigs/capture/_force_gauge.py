@@ -369,7 +369,7 @@ class ForceGauge:
         return kept[1:-1]
 
     def follow(self, force: Force) -> None:
-        """Take a mean of a step that touched nothing for no force, by two standard deviations at most: it drifts."""
+        """Take a mean of a step that touched nothing for no force, by a standard deviation at most: it drifts."""
         most_n = FOLLOWED_SD * force.noise_n
         self._zero += min(max(force.mean_n, -most_n), most_n) / self._slope
         self._zero_readings = STEP_READINGS

@@ -279,7 +279,7 @@ def _coloured(screen: Screen, small: NDArray[np.uint8], edge: NDArray[np.bool_])
 
 
 def _signs(screen: Screen, small: NDArray[np.uint8], edge: NDArray[np.bool_]) -> list[str]:
-    """Return one sign for each two pixels: the denser the brighter, X at full scale, + on the edge of the region."""
+    """Return one sign for each two pixels: the denser the brighter, X at full scale, o on the edge of the region."""
     pairs = small.reshape(len(small) // 2, 2, -1)
     level = pairs.mean(axis=1) * len(SHADES) / (SATURATED + 1)
     signs = np.asarray(list(SHADES))[np.minimum(level.astype(int), len(SHADES) - 1)]
