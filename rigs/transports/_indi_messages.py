@@ -23,6 +23,8 @@ LONGEST_MESSAGE_BYTES: Final = 2**20
 _LONGEST_BLOB_MESSAGE_BYTES: Final = LARGEST_BLOB_BYTES * 3 // 2
 _NESTING: Final = 3
 _PIECE_CHARACTERS: Final = 2**20
+# XML 1.0, section 2.2, allows none of them; 0 tells that something else than INDI is sent.
+_NO_XML: Final = dict.fromkeys([*range(1, 9), 11, 12, *range(14, 32), 0xFFFE, 0xFFFF], "\ufffd")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,8 @@ class IndiReader:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        # Drivers pass on labels in other encodings than they declare; a bad letter must not end the session.
+        # Drivers pass on labels in other encodings than they declare, and what a device says with control characters; a
+        # bad letter must not end the session.
         self._decoder = codecs.getincrementaldecoder("utf-8")("replace")
         self._parser = expat.ParserCreate()
         self._parser.buffer_text = True
@@ -103,7 +106,7 @@ class IndiReader:
         LostError
             It is no INDI, or a message exceeds every limit; the connection is of no more use.
         """
-        text = self._decoder.decode(data)
+        text = self._decoder.decode(data).translate(_NO_XML)
         try:
             for start in range(0, len(text), _PIECE_CHARACTERS):
                 self._feed_piece(text[start : start + _PIECE_CHARACTERS])

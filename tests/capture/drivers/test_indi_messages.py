@@ -54,6 +54,8 @@ def test_a_message_is_there_as_soon_as_its_last_byte() -> None:
 def test_letters_of_another_encoding_do_not_end_the_session() -> None:
     (message,) = IndiReader("wheel").feed(b'<message device="A" message="filter n\xb0 3"/>')
     assert message.attributes["message"] == "filter n� 3"
+    (message,) = IndiReader("wheel").feed(b'<message device="A" message="\x1b[31mjammed\xef\xbf\xbf\t"/>')
+    assert message.attributes["message"] == "�[31mjammed� "
 
 
 @pytest.mark.parametrize(
