@@ -410,20 +410,24 @@ def at_rest(
     """
     gauge = ForceGauge(cell, settings, calibration)
     gauge.begin(clock.monotonic_s)
-    forces_n, times_s = [], []
+    forces_n, times_s = [gauge.reading_above_empty_n()], []
     end_s = clock.monotonic_s() + rest_s
     while clock.monotonic_s() < end_s:
         forces_n.append(gauge.reading_above_empty_n())
         times_s.append(clock.monotonic_s())
-    blocks = [without_jumps(block, abs(calibration.slope_n_per_count)) for block in np.array_split(forces_n, BLOCKS)]
+    forces_n.append(gauge.reading_above_empty_n())
+    # one reading before each block and one after show whether its ends lost a bit
+    edges = np.linspace(0, len(times_s), BLOCKS + 1).astype(int)
+    around = [forces_n[start : end + 2] for start, end in pairwise(edges)]
+    blocks = [without_jumps(block, abs(calibration.slope_n_per_count))[1:-1] for block in around]
     within = math.sqrt(float(np.mean([block.var(ddof=1) for block in blocks])))
     return CellAtRest(
-        readings=len(forces_n),
+        readings=len(times_s),
         span_s=times_s[-1] - times_s[0],
         longest_gap_s=float(np.diff(times_s).max()),
         noise_n=within,
         means_n=tuple(float(block.mean()) for block in blocks),
-        jumps=len(forces_n) - sum(block.size for block in blocks),
+        jumps=len(times_s) - sum(block.size for block in blocks),
     )
 
 
@@ -453,10 +457,8 @@ def weigh(
     def mean_n() -> tuple[float, float]:
         for _ in range(math.ceil(LAID_SETTLES_S * settings.rate_hz)):
             gauge.reading_above_empty_n()
-        forces = without_jumps(
-            [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz))],
-            abs(calibration.slope_n_per_count),
-        )
+        readings = [gauge.reading_above_empty_n() for _ in range(math.ceil(LAID_S * settings.rate_hz) + 2)]
+        forces = without_jumps(readings, abs(calibration.slope_n_per_count))[1:-1]
         return float(forces.mean()), float(forces.std(ddof=1)) / math.sqrt(forces.size / SETTLING_READINGS)
 
     lay(0.0)
