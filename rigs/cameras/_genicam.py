@@ -87,17 +87,11 @@ EXPOSURE_NAMES: Final = ("ExposureTime", "ExposureTimeAbs")
 AUTOMATIC: Final = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
 TRIGGER: Final = "TriggerMode"
 MIRRORED: Final = ("ReverseX", "ReverseY")
+JOINED: Final = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
 # A limited frame rate limits the exposure; the others change raw counts.
 SWITCHED_OFF: Final = (
-    "AcquisitionFrameRateEnable",
-    "AcquisitionFrameRateEnabled",
-    "GammaEnable",
-    "GammaEnabled",
     "LUTEnable",
-    "SharpnessEnable",
-    "SharpnessEnabled",
-    "SaturationEnable",
-    "SaturationEnabled",
+    *(f"{what}Enable{d}" for what in ("AcquisitionFrameRate", "Gamma", "Sharpness", "Saturation") for d in ("", "d")),
 )
 # Exposures are multiples of a line time (some 10 us to 40 us), by a clock that is good to 0.1 %.
 LINE_S: Final = 50e-6
@@ -162,9 +156,12 @@ def configure(features: Features, settings: CameraSettings, camera: str) -> RawP
     RefusedError
         The camera cannot do what the rig file says, or reads back something else.
     """
-    # A mirrored frame begins with another colour, and some cameras then offer other formats.
+    # A mirrored frame begins with another colour; then, and where they join pixels, some cameras offer other formats.
     for name in MIRRORED:
         _switch_off(features, name, camera)
+    for name in JOINED:
+        if features.has(name):
+            _set_number(features, name, 1.0, 0.0, camera, "every pixel is needed")
     pixels = raw_pixels(features.entries("PixelFormat"), settings.bit_depth, camera)
     _set_text(features, "PixelFormat", pixels.name, camera)
     for name in (*AUTOMATIC, TRIGGER):

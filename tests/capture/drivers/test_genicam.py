@@ -138,6 +138,19 @@ def test_mirroring_trigger_and_white_balance_are_undone() -> None:
         configure(camera, SETTINGS, "camera")
 
 
+def test_pixels_are_neither_joined_nor_left_out() -> None:
+    """A frame of half the sensor fits a camera that still joins 2 x 2 pixels, as another program has left it."""
+    camera = nodes()
+    camera.values |= {"BinningHorizontal": 2.0, "BinningVertical": 2.0, "DecimationVertical": 4.0}
+    configure(camera, SETTINGS, "camera")
+    joined = ("BinningHorizontal", "BinningVertical", "DecimationVertical")
+    assert [camera.values[name] for name in joined] == [1.0, 1.0, 1.0]
+    camera = nodes("BinningVertical")
+    camera.values["BinningVertical"] = 2.0
+    with pytest.raises(RefusedError, match="BinningVertical was set to 1, but reads back 2; every pixel is needed"):
+        configure(camera, SETTINGS, "camera")
+
+
 def test_setting_that_is_fixed_at_the_right_value_is_fine() -> None:
     camera = nodes("Gamma", "Gain")
     camera.values |= {"Gamma": 1.0, "Gain": 3.0}
