@@ -1,5 +1,7 @@
 """Every function of the library on small examples, from a rig to a decision."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -124,6 +126,13 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
         finray.recolour_press(rendered)
     with pytest.raises(SimulateError, match="only one of red and green is given; give both"):
         finray.recolour_press(rendered, red=paint)
+
+
+@pytest.mark.parametrize("given", ["sun", "1:1:1", ("red", "green", "blue"), (1.0, 2.0), ((1.0,), (1.0, 2.0)), 3])
+def test_a_white_balance_that_is_none_is_refused_with_what_is_allowed(rendered, given):
+    allowed = 'must be three positive gains (red, green, blue) or "pad"'
+    with pytest.raises(SimulateError, match=f"white_balance={re.escape(repr(given))}: {re.escape(allowed)}"):
+        finray.recolour_press(rendered, white_balance=given)
 
 
 def test_the_verb_renders_the_same_press(lab, paint, rendered, tmp_path):
