@@ -10,6 +10,7 @@ import tifffile
 from data_schemas import (
     BandFolder,
     CurveError,
+    FinrayError,
     ImportedCamera,
     ImportFormatError,
     RadiometryError,
