@@ -481,6 +481,10 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     path = given_path(sensor, "sensor")
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
+    if not path.exists():
+        raise SimulateError(
+            f"{path}: no such file; give a ready-made sensor ({', '.join(SENSORS)}) or the path of a design (TOML)"
+        )
     design = read_sensor(path)
     return design, path.parent, sensor_inputs(design, path)
 

@@ -18,6 +18,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
+from sim import design_toml, preset_design
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import succeed
@@ -426,6 +427,17 @@ def test_a_design_changed_in_python_is_checked_again(paint):
     metres = design.indenter.model_copy(update={"depth_mm": -1.5})
     with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
         finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
+
+
+def test_a_sensor_is_needed_and_ready_made_ones_are_named(tmp_path):
+    with pytest.raises(
+        SimulateError, match=r"knuckle\.toml: no such file; give a ready-made sensor \(gelsight-flat, digit"
+    ):
+        finray.render_sensor("knuckle.toml")
+    (tmp_path / "finger.toml").write_text(design_toml(preset_design("flat-70x35")))
+    needed = r"finger\.toml: contains the design of a finger, but that of a classic sensor is needed$"
+    with pytest.raises(RecordError, match=needed):
+        finray.render_sensor(tmp_path / "finger.toml")
 
 
 def test_a_sensor_changed_in_python_is_checked_again(lab):
