@@ -255,6 +255,7 @@ if TYPE_CHECKING:
         needed_kind,
         percent,
         significant,
+        unsigned_zeros,
     )
     from data_schemas._rig import (
         EXCHANGED_FILTERS,
@@ -750,5 +751,6 @@ __all__ = [
     "require_coverage",
     "significant",
     "system_words",
+    "unsigned_zeros",
     "why_failed",
 ]

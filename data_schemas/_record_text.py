@@ -202,4 +202,12 @@ def significant(value: float, digits: int = 3) -> str:
 
 def percent(fraction: float) -> str:
     """Return a fraction as per cent with two significant digits: ``0.34 %``, ``100 %``."""
-    return f"{float(f'{100 * fraction:.2g}'):g} %"
+    return f"{float(f'{100 * fraction:.2g}') + 0.0:g} %"  # + 0.0: a zero has no sign
+
+
+_NEGATIVE_ZERO = re.compile(r"(?<![\w.,:=/-])-(0(?:\.0+)?)(?![\w.:-])")
+
+
+def unsigned_zeros(text: str) -> str:
+    """Return a text whose rounded zeros have no sign: ``0.0 mm`` for ``-0.0 mm``; options and file names stay."""
+    return _NEGATIVE_ZERO.sub(r"\1", text)

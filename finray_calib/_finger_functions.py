@@ -10,10 +10,13 @@ from numbers import Real
 from operator import index
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple, SupportsIndex, TypedDict, TypeVar
+from typing import NamedTuple, SupportsIndex, TypedDict, TypeVar, Unpack
 
 from pydantic import ValidationError
 
+import sim.experiments
+import sim.mechanics
+import sim.optics
 from data_schemas import (
     FingerDesign,
     FingerSurfaces,
@@ -43,13 +46,6 @@ from finray_calib._arguments import (
     require_progress,
     require_truths,
 )
-
-if TYPE_CHECKING:
-    from typing import Unpack
-
-    from sim.experiments import FingerScene, OpticsProducts, Rendering, SensorScene, WhiteBalance
-    from sim.mechanics import ContactChoice
-    from sim.optics import Preference, RenderLevel
 
 Paint = PaintCalibration | PathLike
 D = TypeVar("D", FingerDesign, PlainSensor)
@@ -88,7 +84,7 @@ class RenderOptions(TypedDict, total=False):
     samples
         Paths per pixel of a press (even, default 128), or per probe of a sweep (default 4000).
     engine
-        "auto" (default), "llvm" or "scalar".
+        "auto" (default), "llvm", "scalar" or "cuda": an NVIDIA GPU, which "auto" never takes.
     paints_as_given
         Whether a red paint that emits at shorter wavelengths than the green one is meant so.
     pose_response
@@ -104,9 +100,9 @@ class RenderOptions(TypedDict, total=False):
         Of a sweep: whether angles that span less than 4 deg are meant so, and are not radians.
     """
 
-    level: "RenderLevel"
+    level: "sim.optics.RenderLevel"
     samples: int
-    engine: "Preference"
+    engine: "sim.optics.Preference"
     paints_as_given: bool
     pose_response: bool
     shared_light: bool
@@ -218,7 +214,7 @@ def press_finger(
     *,
     force_n: float | None = None,
     increments: int = 4,
-    contact: "ContactChoice" = "auto",
+    contact: "sim.mechanics.ContactChoice" = "auto",
     budget_s: float | None = None,
     progress: Progress | None = None,
 ) -> FingerPress:
@@ -281,7 +277,7 @@ def render_press(
     surfaces: FingerSurfaces | PathLike | None = None,
     seed: int = 1,
     progress: Progress | None = None,
-    **options: "Unpack[RenderOptions]",
+    **options: Unpack[RenderOptions],
 ) -> SimulatedPress:
     """Render the contact and no-contact image of a painted finger, in its camera's linear RGB.
 
@@ -325,8 +321,8 @@ def render_images(
     surfaces: FingerSurfaces | PathLike | None = None,
     seed: int = 1,
     progress: Progress | None = None,
-    **options: "Unpack[RenderOptions]",
-) -> "OpticsProducts":
+    **options: Unpack[RenderOptions],
+) -> "sim.experiments.OpticsProducts":
     """Render as :func:`render_press` does, and return all images of the press beside its record.
 
     Parameters
@@ -356,7 +352,7 @@ def render_sensor(
     *,
     seed: int = 1,
     samples: int = DEFAULT_SAMPLES_PER_PIXEL,
-    engine: "Preference" = "auto",
+    engine: "sim.optics.Preference" = "auto",
 ) -> SimulatedPress:
     """Render the contact and no-contact image of a classic sensor, in its camera's linear RGB.
 
@@ -398,7 +394,7 @@ def fit_sensor(
     free: Sequence[str] = (),
     seed: int = 1,
     progress: Progress | None = None,
-    **options: "Unpack[RenderOptions]",
+    **options: Unpack[RenderOptions],
 ) -> SensorFit:
     """Fit the numbers of a sensor to captures of it: light powers, yields, gain, shift, scale, blur and what is `free`.
 
@@ -449,7 +445,7 @@ def fit_sensor(
 
 def _layered(
     design: FingerDesign | PlainSensor | PathLike, paints: dict[str, Paint], seed: int, options: RenderOptions
-) -> "tuple[SensorScene, list[Path]]":
+) -> "tuple[sim.experiments.SensorScene, list[Path]]":
     """Return what renders a sensor in layers, and the files that were read."""
     from sim.experiments import ClassicLayers, FingerLayers
 
@@ -485,11 +481,15 @@ def _plain_sensor(sensor: FingerDesign | PlainSensor | PathLike) -> tuple[PlainS
     path = given_path(sensor, "sensor")
     if not path.exists() and os.fspath(sensor) in SENSORS:
         return preset_sensor(os.fspath(sensor)), Path(), []
+    if not path.exists():
+        raise SimulateError(
+            f"{path}: no such file; give a ready-made sensor ({', '.join(SENSORS)}) or the path of a design (TOML)"
+        )
     design = read_sensor(path)
     return design, path.parent, sensor_inputs(design, path)
 
 
-def _rendering(seed: int, options: RenderOptions) -> "Rendering":
+def _rendering(seed: int, options: RenderOptions) -> "sim.experiments.Rendering":
     """Return how a press is rendered."""
     from sim.experiments import Rendering
 
@@ -511,7 +511,7 @@ def sweep_light_angle(
     surfaces: FingerSurfaces | PathLike | None = None,
     seed: int = 1,
     progress: Progress | None = None,
-    **options: "Unpack[RenderOptions]",
+    **options: Unpack[RenderOptions],
 ) -> LightAngleSweep:
     """Measure the brightness beside the indenter over the angle of the light, for `decide_light_angle`.
 
@@ -569,7 +569,7 @@ def _scene(
     paints: dict[str, Paint],
     surfaces: FingerSurfaces | PathLike | None,
     options: RenderOptions,
-) -> "tuple[FingerScene, dict[str, str], list[Path]]":
+) -> "tuple[sim.experiments.FingerScene, dict[str, str], list[Path]]":
     """Return the painted finger, the checksums of its paints, and all files that were read."""
     from sim.experiments import finger_scene, require_paints_in_order
 
@@ -593,7 +593,7 @@ def _scene(
     return scene, digests, [*found.files, *(file for _, files in read.values() for file in files), *mesh_files]
 
 
-def _renderer(preference: "Preference") -> ModuleType:
+def _renderer(preference: "sim.optics.Preference") -> ModuleType:
     """Open the renderer, and warn when another one than usual was taken because something is missing."""
     from sim.optics import choose_variant, open_renderer
 
@@ -609,7 +609,7 @@ def recolour_press(
     red: Paint | None = None,
     green: Paint | None = None,
     camera: PathLike | None = None,
-    white_balance: "WhiteBalance | None" = None,
+    white_balance: "sim.experiments.WhiteBalance | None" = None,
 ) -> SimulatedPress:
     """Show a rendered press with other paints, another camera or white balance; nothing is rendered again.
 

@@ -10,10 +10,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import ValidationError
 
+import data_schemas
+import finray_calib.lineage
+import rigs
 from data_schemas import (
     BandSignals,
     CameraCharacterisation,
@@ -49,23 +52,6 @@ from finray_calib._arguments import (
     require_progress,
     require_truths,
 )
-
-if TYPE_CHECKING:
-    from data_schemas import (
-        ColourCheckerMatch,
-        ForceComparison,
-        LightAngleDecision,
-        LightAngleSweep,
-        NormalMapRecord,
-        PhotometricErrorReport,
-        PixelScale,
-        PressMechanics,
-        SessionScatter,
-        SimulatedPress,
-        TactileCapture,
-    )
-    from finray_calib.lineage import Traced
-    from rigs import OpenRig
 
 
 def read_record(path: PathLike) -> Record:
@@ -139,7 +125,7 @@ def write_record(record: Record, path: PathLike) -> Path:
         return write_stored(record, file, origin)
 
 
-def trace_record(path: PathLike) -> "Traced":
+def trace_record(path: PathLike) -> "finray_calib.lineage.Traced":
     """Return the tree of files that a stored record was made from, every one of them hashed again.
 
     Its `is_intact` says whether all is as it was written; `finray_calib.lineage.findings` lists what is not.
@@ -150,7 +136,7 @@ def trace_record(path: PathLike) -> "Traced":
 
 
 @contextmanager
-def open_rig(rig: PathLike) -> "Iterator[OpenRig]":
+def open_rig(rig: PathLike) -> "Iterator[rigs.OpenRig]":
     """Open all devices of a rig file (TOML) for a ``with`` block; lights are off and connections closed at its end.
 
     Raises
@@ -388,7 +374,7 @@ def fit_paint(
 
 def _of_sessions(
     bands: BandSignals | PathLike | Sequence[BandSignals | PathLike],
-) -> "tuple[BandSignals, list[Path], SessionScatter | None]":
+) -> "tuple[BandSignals, list[Path], data_schemas.SessionScatter | None]":
     """Return the band signals of one session, or those that several share, the files, and how they differ."""
     if isinstance(bands, BandSignals | str | os.PathLike):
         return *given(bands, BandSignals), None
@@ -403,7 +389,7 @@ def _of_sessions(
     return together, files, scatter
 
 
-def _room_light_match(folder: Path, bands: BandSignals) -> "ColourCheckerMatch":
+def _room_light_match(folder: Path, bands: BandSignals) -> "data_schemas.ColourCheckerMatch":
     """Return the match of the paint to a ColorChecker patch in a session's room-light frame."""
     from finray_calib.fit import colour_checker_reflectance
     from rigs.capture import read_frame_of, read_session
@@ -425,16 +411,16 @@ def map_paint(pixels: PixelSignals | PathLike, paint: PaintCalibration | PathLik
 
 
 def compare_press(
-    simulated: "SimulatedPress | PathLike",
-    capture: "TactileCapture | PathLike",
+    simulated: "data_schemas.SimulatedPress | PathLike",
+    capture: "data_schemas.TactileCapture | PathLike",
     *,
     register: bool = False,
     despite_mismatch: bool = False,
     relative: bool = False,
-    normal_map: "NormalMapRecord | PathLike | None" = None,
-    pixel_scale: "PixelScale | PathLike | None" = None,
+    normal_map: "data_schemas.NormalMapRecord | PathLike | None" = None,
+    pixel_scale: "data_schemas.PixelScale | PathLike | None" = None,
     seed: int = 1,
-) -> "PhotometricErrorReport":
+) -> "data_schemas.PhotometricErrorReport":
     """Compare a simulated press with a tactile capture: skill over the contact and its halo, with floor and interval.
 
     Parameters
@@ -481,13 +467,13 @@ def compare_press(
 
 
 def compare_force(
-    press: "PressMechanics | PathLike",
+    press: "data_schemas.PressMechanics | PathLike",
     force_csv: PathLike,
     *,
     known_first_touch: bool = False,
-    other_mesh: "PressMechanics | PathLike | None" = None,
+    other_mesh: "data_schemas.PressMechanics | PathLike | None" = None,
     seed: int = 1,
-) -> "ForceComparison":
+) -> "data_schemas.ForceComparison":
     """Compare the force of a press by finite elements with a measured one.
 
     Parameters
@@ -521,15 +507,15 @@ def compare_force(
 
 
 def decide_light_angle(
-    sweeps: "LightAngleSweep | PathLike | Sequence[LightAngleSweep | PathLike]",
-    reports: "Sequence[PhotometricErrorReport | PathLike]" = (),
+    sweeps: "data_schemas.LightAngleSweep | PathLike | Sequence[data_schemas.LightAngleSweep | PathLike]",
+    reports: "Sequence[data_schemas.PhotometricErrorReport | PathLike]" = (),
     *,
     narrow_sweep: bool = False,
     weights: Sequence[float] | None = None,
     criterion: Literal["average", "worst"] = "average",
     aim: Literal["brightness", "normal"] | None = None,
     seed: int = 1,
-) -> "LightAngleDecision":
+) -> "data_schemas.LightAngleDecision":
     """Decide on the angle of the light over touches of a finger: the angle, its risk, and what each touch loses.
 
     Parameters

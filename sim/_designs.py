@@ -650,11 +650,11 @@ def read_sensor(path: Path) -> PlainSensor:
     def complete(tables: dict[str, Any]) -> dict[str, Any]:
         written = {name: value for name, value in tables.items() if name != "kind"}
         preset = written.pop("preset", None)
-        if preset is None:
-            return written
+        if "skeleton" in written:
+            raise RecordError(f"{path}: contains the design of a finger, but that of a classic sensor is needed")
         if isinstance(preset, str) and preset in PRESETS:
             raise RecordError(f'{path}: kind = "sensor" does not fit the finger preset = "{preset}"; leave out kind')
-        return _onto_preset(path, preset, preset_sensor, written)
+        return written if preset is None else _onto_preset(path, preset, preset_sensor, written)
 
     return read_toml(path, PlainSensor, complete)
 

@@ -80,7 +80,6 @@ class Child:
         self._imports = tuple(imports)
         self._settings = _KEEPS_MEMORY if keeps_memory else {}
         self._process: subprocess.Popen[bytes] | None = None
-        self._early_log = tempfile.TemporaryFile()  # noqa: SIM115 - what is written before the first call
         self._start()
 
     def __enter__(self) -> Self:
@@ -88,7 +87,6 @@ class Child:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.end()
-        self._early_log.close()
 
     @property
     def pid(self) -> int | None:
@@ -163,6 +161,7 @@ class Child:
     def end(self) -> None:
         """End the child and what it has started: by an interrupt, and by force when that takes too long."""
         if self._process is None:
+            self._early_log.close()
             return
         try:
             self._jobs.close()
@@ -171,6 +170,7 @@ class Child:
             _has_ended(self._process.pid, GRACE_S)
         finally:  # also when Ctrl-C is pressed again
             self._reap()
+            self._early_log.close()
 
     def kill(self, by: signal.Signals = signal.SIGKILL) -> None:
         """Kill the child from another thread than the one that calls it, which gets a ProcessDiedError.
@@ -183,6 +183,7 @@ class Child:
 
     def _start(self) -> None:
         """Start the interpreter; it imports and waits."""
+        self._early_log = tempfile.TemporaryFile()  # noqa: SIM115 - what is written before the first call
         jobs, self_jobs = os.pipe()
         self_messages, messages = os.pipe()
         path = json.dumps(sys.path)
@@ -197,6 +198,9 @@ class Child:
                 process_group=0,
                 env={**self._settings, **os.environ, "PYTHONFAULTHANDLER": "1"},
             )
+        except BaseException:
+            self._early_log.close()
+            raise
         finally:
             os.close(jobs)
             os.close(messages)
@@ -261,8 +265,7 @@ class Child:
         if log is not None:
             with contextlib.suppress(OSError), log.open("ab") as file:
                 file.write(self._early_log.read() + f"The process {cause}{memory}\n".encode())
-        self._early_log.seek(0)
-        self._early_log.truncate()
+        self._early_log.close()
         return f"{cause}{memory}"
 
 

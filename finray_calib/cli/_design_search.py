@@ -88,7 +88,7 @@ other paths, paint draws and noise.
 What varies: what a person mounts, casts or mixes (angle and place of the light, pose of the camera, bow of the mirror,
 thickness of the pad, yield of the paints), the emission of the paints (within its calibrated uncertainty), and every
 number of the design with an uncertainty_rel that light depends on. Half-ranges that you do not give are assumed; the
-page says so.
+page says so. A ready-made finger takes some 8 minutes of processor time.
 --vary FIELD=HALF_RANGE gives one in the field's own unit, --vary FIELD=0 leaves a number out. For a place, FIELD ends
 with the axis, as in camera.position_mm.z.
 
@@ -347,7 +347,7 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
     tolerances.add_argument("--runs", type=int, default=128, metavar="N",
                             help="number of fingers in which all numbers vary together (default: 128)")  # fmt: skip
     tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
-                            help="light paths per point and repeat (default: 1024, about 1 s a finger)")  # fmt: skip
+                            help="light paths per point and repeat (default: 1024, 1.4 to 3.6 s a finger)")  # fmt: skip
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
     add_seed(tolerances)

@@ -261,6 +261,7 @@ _LABELS = {
 
 def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, ...]") -> None:
     """Tell the numbers and how far they can be trusted."""
+    from finray_calib.fit import two_maxima
     from finray_calib.reports import pareto_text
 
     wrote(out, f"emission of '{paint.paint_name}' ({paint.spectrum_source})")
@@ -277,10 +278,17 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
         share = paint.prior_shares.get(name)
         belief = ", MOSTLY PRIOR: the bands hardly measure it" if share is not None and share.mostly_prior else ""
         say(f"  {label:26s} {value.estimate:.{digits}f} [{low}, {high}]{unit} (95 %{belief})")
+    if (maxima := two_maxima(paint.wavelength_nm, paint.emission_draws_per_nm)) is not None:
+        places = " and ".join(
+            f"{place.estimate:.0f} [{place.low95:.0f}, {place.high95:.0f}] nm"
+            for place in (maxima.first_nm, maxima.second_nm)
+        )
+        say(f"  {'two maxima':26s} {places} (95 %; probability {maxima.probability:.2f})")
+    give(two_maxima=maxima)
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
-    belief = ", from the prior alone: not measured" if paint.reradiation.prior_driven else ""
+    belief = ", from the prior and the emission: absorption not measured" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     if paint.prior_shares:
         shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())

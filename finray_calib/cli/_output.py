@@ -80,6 +80,10 @@ def say(text: str, fold: bool = True) -> None:
     FinrayError
         Standard output takes nothing more; the rest of the output is dropped.
     """
+    if "-0" in text:
+        from data_schemas import unsigned_zeros
+
+        text = unsigned_zeros(text)
     _spoken.text += text.split("\n")
     if not (_spoken.as_json or _spoken.quiet):
         _write(_folded(text, fold and sys.stdout.isatty()))

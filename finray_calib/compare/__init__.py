@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from finray_calib.compare._candidate_errors import METRICS, Metric, check_metric
     from finray_calib.compare._comparison_record import (
         NO_DRIFT,
+        OWN_NOISE,
         CheckOptions,
         checked_report,
         compare_checked,
@@ -57,6 +58,7 @@ __all__ = [
     "DILATED",
     "METRICS",
     "NO_DRIFT",
+    "OWN_NOISE",
     "CheckOptions",
     "Metric",
     "PairRow",

@@ -436,22 +436,27 @@ def headline(
     now = "" if is_decided else f"{'for' if only else 'For'} now, "
     angle = f"{only}{now}{'mount' if only or now else 'Mount'} the light at {mounting_angle(decision)} deg"
     simulated = "" if decision.validated else "as simulated, "
+    best = f"{decision.best_deg:.0f} deg"
     if only:
-        return f"{angle}: {simulated}the touch is at most {percent(tolerance_rel)} less bright than at the best angle."
-    losses = [contact.loss_rel for contact in contacts]
+        return (
+            f"{angle}: {simulated}the touch is expected to be at most {percent(tolerance_rel)} less bright than at "
+            f"{best}."
+        )
+    angle = (
+        f"{angle}, which is expected to cost at most {percent(tolerance_rel)} more than {best}. At {best}, {simulated}"
+    )
+    losses, span = np.array([contact.loss_rel for contact in contacts]), span_of(contacts)
     weights = [contact.weight_share for contact in contacts]
     if aim == "normal":
-        above = above_best(np.array(losses))
+        above = above_best(losses)
         return (
-            f"{angle}: {simulated}at each of the {span_of(contacts)} the error of the sensed normal is at most "
-            f"{percent(above.max())} larger than at that place's best angle, and {percent(float(above @ weights))} on "
-            "average over them."
+            f"{angle}at each of the {span} the error of the sensed normal is at most {percent(above.max())} larger "
+            f"than at that place's best angle, and {percent(float(above @ weights))} on average over them."
         )
-    average, span = float(np.dot(weights, losses)), span_of(contacts)
     touched = f"the touch at each of the {span}" if " places " in span else f"each of the {span}"
     return (
-        f"{angle}: {simulated}{touched} is at most {percent(max(losses))} less bright than at its own best angle, and "
-        f"{percent(average)} on average over them."
+        f"{angle}{touched} is at most {percent(losses.max())} less bright than at its own best angle, and "
+        f"{percent(float(losses @ weights))} on average over them."
     )
 
 

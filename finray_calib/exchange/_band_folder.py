@@ -32,6 +32,7 @@ from data_schemas import (
     LampSettings,
     LightState,
     PaintPlan,
+    RadiometryError,
     RigFile,
     SpectralCurve,
     Target,
@@ -52,6 +53,8 @@ from data_schemas.storage import (
 )
 from finray_calib.radiometry import band_signals, monochrome_bands
 
+DESCRIPTION_NAME = "bands.toml"
+HALOGEN = "planck-2856K"
 Counts = NDArray[np.uint16]
 # Row and column within the 2 x 2 cell where each layout keeps red, the green beside red, the green beside blue, blue.
 _CELLS: dict[str, tuple[tuple[int, int], ...]] = {
@@ -256,10 +259,35 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
         return read_image(paths[frame.file], description.camera)
 
     session = _session(folder, description, tuple(frames))
-    bands = band_signals(session, read)
-    used = [*(path.relative_to(folder).as_posix() for path in paths.values()), *named_files(description)]
+    names = {stored: path.relative_to(folder).as_posix() for stored, path in paths.items()}
+    try:
+        bands = band_signals(session, read)
+    except RadiometryError as error:
+        raise RadiometryError(_of_the_folder(str(error), names)) from None
+    bands = bands.model_copy(update={"notes": tuple(_of_the_folder(note, names) for note in bands.notes)})
+    used = [*names.values(), *named_files(description)]
     digests = {name: digest_of_input(folder / name) for name in used}
     return (monochrome_bands(bands) if description.camera.layout == "monochrome" else bands), digests
+
+
+_WORDS_OF_A_SESSION = (
+    (
+        "capture again with a lower plan.target_fraction or a shorter exposure in plan.bracket",
+        "add an image of a shorter exposure to the folder, and its time to exposure_s.files",
+    ),
+    (r"^(session\.)?plan\.", f"{DESCRIPTION_NAME}: "),
+    (r"(session\.)?plan\.(\w+)", rf"\2 in {DESCRIPTION_NAME}"),
+)
+"""What an error of a session says -> what it says of a folder of images, which has neither plan nor frames."""
+
+
+def _of_the_folder(text: str, names: Mapping[str, str]) -> str:
+    """Return what radiometry says with the fields of the description and the images' own names."""
+    for stored, name in names.items():
+        text = text.replace(stored, name)
+    for said, instead in _WORDS_OF_A_SESSION:
+        text = re.sub(said, instead, text)
+    return text
 
 
 def _frame(sequence: int, image: BandImage) -> Frame:
@@ -421,8 +449,6 @@ def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:
     return tuple(notes)
 
 
-DESCRIPTION_NAME = "bands.toml"
-HALOGEN = "planck-2856K"
 MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
 
 

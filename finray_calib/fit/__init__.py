@@ -89,7 +89,7 @@ if TYPE_CHECKING:
         Prior,
     )
     from finray_calib.fit._repeated_sessions import combine_sessions, outlying_session_warnings
-    from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE
+    from finray_calib.fit._reported_spectrum import MEASURED_SPECTRA_TITLE, TwoMaxima, two_maxima
     from finray_calib.fit._sensor_posterior import (
         PictureBlocks,
         PicturePosterior,
@@ -136,6 +136,7 @@ __all__ = [
     "Prior",
     "SamplerSettings",
     "Summary",
+    "TwoMaxima",
     "autocorrelation_time",
     "band_data",
     "bulk_ess",
@@ -173,5 +174,6 @@ __all__ = [
     "smooth_weights",
     "stock_catalogue",
     "summarise",
+    "two_maxima",
     "uncertainty_budget",
 ]

@@ -41,9 +41,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import PriorShare
+from data_schemas import Estimate, PriorShare
 from finray_calib.fit._band_data import BandData
-from finray_calib.fit._emission import EmissionPosterior
+from finray_calib.fit._emission import EmissionPosterior, estimate
 from finray_calib.fit._family_choice import FitOptions
 from finray_calib.fit._measured_spectra import (
     MeasuredSpectra,
@@ -71,6 +71,7 @@ _AT_ONCE: Final = 2000
 FEWEST_CONSERVING: Final = 100
 """Draws that conserve energy; with fewer the level of the measurement contradicts it, and none is left out."""
 _COUNTED_REL = 0.05
+_PROMINENCE_REL = 0.05
 _SD_FLOOR_REL = 0.003
 _PRIOR_CURVES = 2000
 _LOGARITHMIC = ("fwhm_nm", "peak_per_nm", "energy_yield")
@@ -385,6 +386,45 @@ def simultaneous_band(curves: Floats) -> tuple[Floats, Floats]:
     largest = (np.abs(curves - mean)[:, counted] / sd[counted]).max(axis=1)
     reach = float(np.quantile(largest, 0.95)) * sd
     return np.maximum(mean - reach, 0.0), mean + reach
+
+
+@dataclass(frozen=True, slots=True)
+class TwoMaxima:
+    """Two maxima of an emission spectrum, as a paint of two dyes has them, in the draws that have two.
+
+    Attributes
+    ----------
+    probability
+        Share of the draws that have at least two.
+    first_nm, second_nm
+        Places of the two highest, by wavelength.
+    second_to_first
+        Height of the second over that of the first.
+    """
+
+    probability: float
+    first_nm: Estimate
+    second_nm: Estimate
+    second_to_first: Estimate
+
+
+def two_maxima(wavelength_nm: Floats, curves: Floats) -> TwoMaxima | None:
+    """Return the two highest maxima of drawn spectra (n, L), or None where fewer than half of them have two.
+
+    A maximum counts where the curve falls by 5 % of its peak on both sides before it rises higher.
+    """
+    from scipy.signal import find_peaks
+
+    found = []
+    for curve in curves:
+        peaks, _ = find_peaks(curve, prominence=_PROMINENCE_REL * curve.max())
+        if len(peaks) > 1:
+            first, second = np.sort(peaks[np.argsort(curve[peaks])[-2:]])
+            found.append((wavelength_nm[first], wavelength_nm[second], curve[second] / curve[first]))
+    if not found or len(found) < len(curves) / 2:
+        return None
+    first_nm, second_nm, ratio = (estimate(column) for column in np.array(found).T)
+    return TwoMaxima(len(found) / len(curves), first_nm, second_nm, ratio)
 
 
 def prior_shares(

@@ -5,6 +5,7 @@ level agrees.
 """
 
 from collections.abc import Mapping
+from typing import TypedDict
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from data_schemas import (
     TactileCapture,
     package_version,
 )
+from finray_calib.compare import OWN_NOISE
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports._comparison_figures import (
     budget_figure,
@@ -53,6 +55,7 @@ from finray_calib.reports._methods import comparison_methods, methods_part
 from finray_calib.reports._page import (
     Content,
     KeyNumber,
+    Light,
     Part,
     Picture,
     PicturePair,
@@ -114,9 +117,7 @@ def comparison_page(
             title=f"{report.simulated}, compared with {report.captured}",
             lead=f"How far a simulated touch is from a real one. Simulation: {report.label}. Compared "
             f"{words.grid_phrase(report)}; values: {report.values}.{relative_sentence(report)}",
-            verdict=words.comparison_verdict(report),
-            light=words.judged_skill(report.headline_skill.low95, report.headline_skill.high95)[0],
-            sentence=words.verdict_meaning(report),
+            **_judged(report),
             picture=_touched(report, pictures),
             key_numbers=_key_numbers(report),
             parts=(
@@ -132,6 +133,24 @@ def comparison_page(
     )
 
 
+class _Judged(TypedDict):
+    """Verdict, its light and its meaning."""
+
+    verdict: str
+    light: Light
+    sentence: str
+
+
+def _judged(report: PhotometricErrorReport) -> _Judged:
+    """Return the verdict; a capture that was made from this render proves nothing of the simulation."""
+    if OWN_NOISE in report.findings:
+        why = "The capture was made from this render: agreement shows only that the comparison works."
+        return {"verdict": "This comparison proves nothing about the simulation", "light": "care", "sentence": why}
+    skill = report.headline_skill
+    light = words.judged_skill(skill.low95, skill.high95)[0]
+    return {"verdict": words.comparison_verdict(report), "light": light, "sentence": words.verdict_meaning(report)}
+
+
 def _findings(report: PhotometricErrorReport) -> tuple[str, ...]:
     """Return skill, brightness and level in sentences."""
     told = (words.objective_sentence(report), words.validation_sentence(report.validation))
@@ -142,6 +161,8 @@ def skill_number(report: PhotometricErrorReport) -> KeyNumber:
     """Return the skill for the first screen."""
     skill = report.headline_skill
     judged = words.judged_skill(skill.low95, skill.high95)
+    if OWN_NOISE in report.findings:
+        judged = "care", "the capture was made from this render"
     name = "Relative skill of the simulation" if report.relative else "Skill of the simulation"
     return KeyNumber(name, fixed(skill.estimate, 2), _skill_between(report), *judged)
 

@@ -229,11 +229,19 @@ def contacts_figure(decision: LightAngleDecision) -> str:
     places = np.array([contact.position_mm for contact in contacts])
     at = places if (np.diff(places) > 0).all() else rows.astype(np.float64)
     shown = axes.pcolormesh(
-        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=top, shading="nearest", rasterized=True
+        decision.grid_deg, at, loss, cmap="cividis_r", vmin=0.0, vmax=top, shading="gouraud", rasterized=True
     )
     lines = axes.contour(decision.grid_deg, at, loss, levels=_LOSS_LEVELS, colors=INK, linewidths=0.7)
     axes.clabel(lines, fmt=lambda level: f"{100 * level:g} %", fontsize=8)
-    axes.plot([contact.best_deg for contact in contacts], at, "o", color=INK, markersize=4.5, markerfacecolor="white")
+    axes.plot(
+        [contact.best_deg for contact in contacts],
+        at,
+        "o",
+        color=INK,
+        markersize=4.5,
+        markerfacecolor="white",
+        clip_on=False,
+    )
     axes.axvline(decision.angle_deg, color=VERMILLION, linewidth=1.8, linestyle="--")
     axes.text(
         decision.angle_deg, 1.01, f"{decision.angle_deg:.0f} deg", transform=axes.get_xaxis_transform(), ha="center",

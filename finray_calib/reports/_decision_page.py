@@ -199,7 +199,7 @@ def criterion_sentence(decision: LightAngleDecision) -> str | None:
     chosen = "on average" if decision.criterion == "average" else "at the worst place"
     return (
         f"Best on average is {average_deg:.0f} deg: {told(average_deg)}. Best at the worst place is {worst_deg:.0f} "
-        f"deg: {told(worst_deg)}. The best {chosen} was chosen (--criterion)."
+        f"deg: {told(worst_deg)}. The best {chosen} was chosen: the criterion is '{decision.criterion}'."
     )
 
 

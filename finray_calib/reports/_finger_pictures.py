@@ -195,9 +195,9 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     _draw_indenter(before, mechanics.design, 0.0, folder)
     shown = _draw_after(after, rest, pressed)
     _draw_indenter(after, mechanics.design, depth_mm, folder)
-    views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement (mm)")
-    before.set_title("before: the indenter touches (dashed: the coat along the middle)")
-    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (grey: before)")
+    views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement of the surfaces that are seen (mm)")
+    before.set_title("before: the indenter touches (colours: parts; dashed: the coat along the middle)")
+    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (seen from the green side; grey: before)")
     for axes in (before, after):
         axes.set(aspect="equal", ylabel="y (mm)")
         axes.grid(visible=False)

@@ -168,6 +168,7 @@ def _fit_findings(paint: FittedPaint, verdict: Verdict) -> tuple[str, ...]:
         reasons[verdict],
         f"{conclusion[:1].upper()}{conclusion[1:]}.",
         said.prior_share_statement(paint),
+        *filter(None, [said.maxima_statement(paint)]),
         said.family_statement(paint),
         said.absorption_statement(paint),
     )

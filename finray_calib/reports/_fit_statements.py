@@ -14,6 +14,7 @@ from finray_calib.fit import (
     LARGEST_R_HAT,
     SMALLEST_EFFECTIVE_SAMPLES,
     BudgetRow,
+    two_maxima,
 )
 from finray_calib.reports._fitted_paint import CurveAgreement, FittedPaint, PaintTruth, curve_agreement, paper_agreement
 from finray_calib.reports._page import ReportTable, TableGroup, one_group
@@ -141,22 +142,39 @@ def prior_share_statement(paint: FittedPaint) -> str:
             f"emission constrained in part: {', '.join(weak)} mostly prior, because more than half of the "
             "prior's variance remains after the measurement."
         )
+    stokes = shares.get("stokes_shift_nm")
+    beside = "" if stokes is None else f"; of the Stokes shift's, {percent(stokes.share)} remains"
     return paint.titled(
-        f"the measurement determines every quantity: at most {percent(shares[largest].share)} of the prior's variance "
-        f"remains ({QUANTITIES[largest][0]})."
+        f"the measurement determines the emission: at most {percent(shares[largest].share)} of the prior's variance "
+        f"remains ({QUANTITIES[largest][0]}){beside}."
+    )
+
+
+def maxima_statement(paint: FittedPaint) -> str:
+    """Say where a spectrum of two maxima has them; empty for one of a single maximum."""
+    found = two_maxima(paint.fit.wavelength_nm, paint.fit.emission_draws_per_nm)
+    if found is None:
+        return ""
+    return paint.titled(
+        f"the spectrum has two maxima (probability {found.probability:.2f}), at {estimate_text(found.first_nm, 'nm')} "
+        f"and at {estimate_text(found.second_nm, 'nm')}; the second is {estimate_text(found.second_to_first)} times as "
+        "high as the first. The mode is the higher one, and the full width is measured around it."
     )
 
 
 def _spread(paint: FittedPaint) -> str:
     """Say how far the families differ in what is reported."""
-    mode, width, energy_yield = (
-        [family.quantities[name].estimate for family in paint.competing]
-        for name in ("mode_nm", "fwhm_nm", "energy_yield")
-    )
+    mode, width = ([f.quantities[name].estimate for f in paint.competing] for name in ("mode_nm", "fwhm_nm"))
+    possible = [y for f in paint.competing if (y := f.quantities["energy_yield"].estimate) <= 1.0]
+    beyond = [f.title for f in paint.competing if f.quantities["energy_yield"].estimate > 1.0]
+    energy = [f"{percent(min(possible))} to {percent(max(possible))}"] if possible else []
+    if beyond:
+        excess = f"{' and '.join(beyond)}: above 100 %, which no paint emits: the bands contradict"
+        energy.append(f"{excess} {'this family' if len(beyond) == 1 else 'these families'}")
     return (
         f"What the choice changes: the {len(mode)} families put the mode at {min(mode):.1f} to "
         f"{max(mode):.1f} nm, the full width at {min(width):.1f} to {max(width):.1f} nm and the yield at "
-        f"{percent(min(energy_yield))} to {percent(max(energy_yield))}."
+        f"{' ('.join(energy)}{')' if len(energy) > 1 else ''}."
     )
 
 
@@ -165,11 +183,18 @@ def absorption_statement(paint: FittedPaint) -> str:
     absorption = paint.fit.reradiation
     shift = estimate_text(absorption.stokes_shift_nm, "nm")
     if absorption.prior_driven:
+        several = len(absorption.measured_at_nm) > 1
         return paint.titled(
-            f"Stokes shift {shift}: this comes from the prior, not from a measurement. "
+            f"Stokes shift {shift}: this comes from the prior and the emission; {_UNMEASURED[several]}. "
             f"{_sentence(absorption.statement)}"
         )
     return paint.titled(f"Stokes shift {shift}. {_sentence(absorption.statement)}")
+
+
+_UNMEASURED: Final = {
+    False: "with one light, the absorption is not measured",
+    True: "the lights that were measured hardly constrain the absorption",
+}
 
 
 def _sentence(text: str) -> str:
@@ -341,11 +366,16 @@ def _family_cells(family: FamilyResult) -> tuple[str, ...]:
     """Return the cells of one family."""
     return (
         *(estimate_text(family.quantities[name]) for name in ("mode_nm", "fwhm_nm", "skew")),
-        estimate_text(family.quantities["energy_yield"], "", 1e2),
+        _yield_cell(family.quantities["energy_yield"]),
         fixed(family.ln_evidence, 1),
         NO_VALUE if family.probability is None else probability(family.probability),
         _left_out(family),
     )
+
+
+def _yield_cell(energy_yield: Estimate) -> str:
+    """Return a yield in per cent; one that no paint can have is not quoted."""
+    return "above 100, impossible" if energy_yield.estimate > 1.0 else estimate_text(energy_yield, "", 1e2)
 
 
 def _left_out(family: FamilyResult) -> str:

@@ -22,6 +22,7 @@ from data_schemas import (
     PackagedMetric,
     PhotometricErrorReport,
     RegionError,
+    unsigned_zeros,
 )
 from data_schemas import decimals_for as decimals_for
 from data_schemas import fixed as fixed
@@ -97,7 +98,8 @@ def skill_text(estimate: float, low: float, high: float) -> str:
 
 
 def unbroken(text: str) -> str:
-    """Return the text as a page shows it: +- as one sign, number and unit on one line, and so [low, high]."""
+    """Return the text as a page shows it: zeros without sign, number and unit on one line, and so [low, high]."""
+    text = unsigned_zeros(text)
     text = text.replace(" +- ", " \u00b1 ").replace(" \u00b1 ", "\u00a0\u00b1\u00a0")
     units = re.sub(r"(?<=[\d\]]) (?=(?:%|nm|um|deg|dB|DN|mN|N|mm|ms|s|px|pixels)(?![\w/]))", "\u00a0", text)
     return re.sub(r"\[[^\[\]]{0,40}\]", lambda found: found[0].replace(" ", "\u00a0"), units)

@@ -584,7 +584,7 @@ def _growth(press: SimulatedPress, before: PaintBands, after: PaintBands) -> Flo
 
 def _gains(white_balance: WhiteBalance, press: SimulatedPress, layers_to_rgb: Floats) -> Gains:
     """Return the gains of red, green and blue."""
-    if white_balance == "pad":
+    if isinstance(white_balance, str) and white_balance == "pad":
         pad, layers = np.isfinite(press.distance), _layers(press)[0]
         means = np.zeros(3)
         if pad.any() and layers is not None:
@@ -598,9 +598,15 @@ def _gains(white_balance: WhiteBalance, press: SimulatedPress, layers_to_rgb: Fl
             )
         gains = means[BAND_NAMES.index("green")] / means
     else:
-        gains = np.array(white_balance, dtype=np.float64)
+        try:
+            gains = np.array(white_balance, dtype=np.float64)
+        except (TypeError, ValueError):
+            gains = np.empty(0)
     if gains.shape != (3,) or not np.isfinite(gains).all() or (gains <= 0.0).any():
-        raise SimulateError(f"white balance needs three positive gains (red, green, blue), got {white_balance}")
+        raise SimulateError(
+            f'white_balance={white_balance!r}: must be three positive gains (red, green, blue) or "pad", which makes '
+            "the untouched pad grey on average"
+        )
     red, green, blue = gains.tolist()
     return red, green, blue
 

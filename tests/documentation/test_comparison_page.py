@@ -12,6 +12,7 @@ from html_page import TRUST, Page, assert_stands_alone, contrast, least_contrast
 
 from data_schemas import Interval, Provenance, RecordError
 from data_schemas.storage import write_record
+from finray_calib.compare import OWN_NOISE
 from finray_calib.compare._comparison_record import COVERS_INPUTS, COVERS_PARTS
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports import comparison_page, headline
@@ -111,6 +112,13 @@ def test_the_light_of_the_skill_follows_its_interval_not_its_estimate(interval, 
     html = page_of(with_skill(*interval))
     assert f'<section class="verdict {light}"' in html
     assert f'<div class="{light}"><dt>Skill of the simulation</dt>' in html
+
+
+def test_a_capture_made_from_the_render_is_no_good_news():
+    html = page_of(with_skill(0.99, 1.0, 1.01).model_copy(update={"findings": (OWN_NOISE,)}))
+    assert '<section class="verdict care"' in html
+    assert "This comparison proves nothing about the simulation" in html
+    assert '<div class="care"><dt>Skill of the simulation</dt>' in html
 
 
 def test_a_skill_is_judged_alike_on_all_pages():

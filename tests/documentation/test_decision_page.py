@@ -356,7 +356,7 @@ def test_a_decision_over_places_begins_with_what_to_do_then_the_finger_then_the_
         "8 mm 33 % 63 deg 22 % 52 %",
         "Why, and how sure it is So says the simulation. It holds for touches at 8 to 50 mm.",
         "Best on average is 32 deg: a loss of 8.3 % on average and 22 % at most. Best at the worst place is 47 deg:",
-        "The best on average was chosen (--criterion).",
+        "The best on average was chosen: the criterion is 'average'.",
     ]
     text = plain(html[: html.index(TRUST)])
     places = [text.index(part) for part in order]

@@ -5,11 +5,12 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from example_records import example_results
 from html_page import TRUST, Page, assert_stands_alone
 
-from data_schemas import Diagnostics, Estimate, PaintCalibration, PriorSensitivity, Provenance, TiltRatio
+from data_schemas import Diagnostics, Estimate, PaintCalibration, PriorSensitivity, PriorShare, Provenance, TiltRatio
 from finray_calib.reports import FittedPaint, ReportTable, fit_parts, fit_summary, paint_report, percent, plain
 from finray_calib.reports import _fit_statements as said
 from finray_calib.reports._fit_page import _fit_limits, _lead, fit_verdict
@@ -143,8 +144,40 @@ def test_the_choice_of_family_is_told_in_words_and_with_its_price() -> None:
     assert "unlikely (probability below 0.01)" in said.family_statement(with_fit(RED, families=families))
 
 
+def test_a_yield_that_cannot_be_is_not_quoted() -> None:
+    families = list(RED.fit.families)
+    quantities = families[0].quantities
+    beyond = quantities["energy_yield"].model_copy(update={"estimate": 4.04, "low95": 3.0, "high95": 5.0})
+    families[0] = families[0].model_copy(update={"quantities": {**quantities, "energy_yield": beyond}})
+    paint = with_fit(RED, families=tuple(families))
+    told = said.family_statement(paint)
+    assert "404" not in told
+    assert f"{families[0].title}: above 100 %, which no paint emits: the bands contradict this family" in told
+    assert "above 100, impossible" in cells(families_table(paint))[families[0].title]
+
+
+def test_the_words_on_the_prior_agree_with_the_shares() -> None:
+    left = {"mode_nm": 0.01, "stokes_shift_nm": 0.58}
+    shares = {name: PriorShare(share=share, shift_sd=0.1) for name, share in left.items()}
+    told = said.prior_share_statement(with_fit(RED, prior_shares=shares))
+    assert "every quantity" not in told
+    assert "the measurement determines the emission: at most" in told
+    assert "of the Stokes shift's, 58 % remains" in told
+
+
+def test_two_maxima_are_told_in_words() -> None:
+    assert said.maxima_statement(RED) == ""
+    w = RED.fit.wavelength_nm
+    one, other = (np.exp(-0.5 * ((w - at) / 12.0) ** 2) for at in (570.0, 650.0))
+    paint = with_fit(RED, emission_draws_per_nm=np.array([one + 0.5 * other] * 100))
+    assert said.maxima_statement(paint).startswith(
+        "Red paint: the spectrum has two maxima (probability 1.00), at 570 nm and at 650 nm"
+    )
+
+
 def test_a_stokes_shift_from_the_prior_is_called_belief() -> None:
-    assert "this comes from the prior, not from a measurement" in said.absorption_statement(RED)
+    told = said.absorption_statement(RED)
+    assert "this comes from the prior and the emission; with one light, the absorption is not measured" in told
     measured = RED.fit.reradiation.model_copy(update={"prior_driven": False, "statement": "three lights fix it"})
     lights = with_fit(RED, reradiation=measured)
     assert said.absorption_statement(lights) == "Red paint: Stokes shift 38 [13, 63] nm. Three lights fix it."
@@ -230,7 +263,7 @@ def test_the_page_shows_what_a_student_needs_to_judge_the_fit(html: str) -> None
     prose = Page(html).prose.replace("\u00a0", " ")
     for words in (
         "Warning: 3.1 % of the fitted emission lies below the laser line",
-        "Stokes shift 38 [13, 63] nm: this comes from the prior, not from a measurement",
+        "Stokes shift 38 [13, 63] nm: this comes from the prior and the emission; with one light",
         "camera response R covers only 400 to 780 nm",
         f"centres within {RED.fit.optics.filters[0].center_uncertainty_nm:g} nm",
         "A diffuse paint",

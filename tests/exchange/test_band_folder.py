@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 import tifffile
 
-from data_schemas import BandFolder, CurveError, FinrayError, ImportedCamera, ImportFormatError, RecordError
+from data_schemas import (
+    BandFolder,
+    CurveError,
+    FinrayError,
+    ImportedCamera,
+    ImportFormatError,
+    RadiometryError,
+    RecordError,
+)
 from finray_calib.exchange import import_band_folder
 from finray_calib.exchange._band_folder import read_image
 from tests.exchange.band_folders import (
@@ -246,12 +254,36 @@ def test_foreign_image_and_missing_description(tmp_path):
         import_band_folder(tmp_path)
 
 
-def test_saturated_band_is_named(tmp_path):
+def test_errors_of_the_reduction_name_what_the_folder_has(tmp_path):
+    """Not the plan and the frames of a session: whoever imports has neither."""
     folder = write_folder(tmp_path / "f", "RGB")
-    full = np.full((SIDE_PX, SIDE_PX, 3), 2**14 - 1, np.uint16)
-    tifffile.imwrite(folder / "laser" / "600nm.tif", full)
-    with pytest.raises(FinrayError, match=r"600nm\.tif\.tiff: filter 600 is saturated"):
+    edit(folder, "width_px = 40", "width_px = 400")
+    with pytest.raises(RadiometryError, match=r"^bands\.toml: region: rows 4 to 44 .* correct the region$"):
         import_band_folder(folder)
+    edit(folder, "width_px = 400", "width_px = 40")
+    full = np.full((SIDE_PX, SIDE_PX, 3), 2**14 - 1, np.uint16)
+    laser_white = tifffile.imread(folder / "laser_white.tif")
+    tifffile.imwrite(folder / "laser_white.tif", np.full_like(laser_white, 20))
+    with pytest.raises(
+        RadiometryError, match=r"and that excitation_filter in bands\.toml names the filter of the laser"
+    ):
+        import_band_folder(folder)
+    tifffile.imwrite(folder / "laser_white.tif", laser_white)
+    tifffile.imwrite(folder / "laser" / "600nm.tif", full)
+    with pytest.raises(
+        RadiometryError, match=r"^laser/600nm\.tif: filter 600 is saturated .*; add an image .* to the f"
+    ):
+        import_band_folder(folder)
+
+
+def test_a_note_on_the_region_names_the_description(tmp_path):
+    folder = write_folder(tmp_path / "f", "RGB")
+    for file in sorted((folder / "white").iterdir()):
+        image = tifffile.imread(file)
+        image[:, : SIDE_PX // 2] = 20 + (image[:, : SIDE_PX // 2] - 20) // 10
+        tifffile.imwrite(file, image)
+    bands, _ = import_band_folder(folder)
+    assert any(note.endswith("all values are biased; correct region in bands.toml") for note in bands.notes)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, EmissionPrior, LogPosterior
+from finray_calib.fit import NO_DISCREPANCY, PAINT_DISCREPANCY, EmissionPrior, LogPosterior, two_maxima
 from finray_calib.fit._emission import curve_draws
 from finray_calib.spectra import band_quadrature
 from tests.fit.synthetic_bands import LOG_NORMAL, orange, simulate
@@ -122,3 +122,22 @@ def test_bands_of_the_curve_cover_paints_drawn_with_discrepancy(weights):
     limits = binom(paints, 0.95).ppf([5e-4, 1 - 5e-4])
     assert (hits >= limits[0]).all()
     assert (hits <= limits[1]).all()
+
+
+def test_two_maxima_are_found_with_the_share_of_curves_that_have_them():
+    """Curves of two dyes at known places beside those of one dye; small ripples do not count."""
+    w = np.arange(450.0, 781.0)
+
+    def dye(at_nm):
+        return np.exp(-0.5 * ((w - at_nm) / 12.0) ** 2)
+
+    two = [dye(570.0 + k) + 0.5 * dye(650.0 - k) for k in range(3)]
+    found = two_maxima(w, np.array([*two, dye(600.0)] * 50))
+    assert found is not None
+    assert found.probability == 0.75
+    assert (found.first_nm.estimate, found.second_nm.estimate) == (571.0, 649.0)
+    # 570 and 650 nm stand 6.7 widths apart: the other dye adds nothing at a maximum
+    assert found.second_to_first.estimate == pytest.approx(0.5, rel=1e-6)
+    assert two_maxima(w, np.array([two[0], dye(600.0), dye(600.0)] * 50)) is None
+    rippled = dye(570.0) + 0.02 * dye(700.0)
+    assert two_maxima(w, np.array([rippled] * 100)) is None

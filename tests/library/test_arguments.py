@@ -220,7 +220,8 @@ def test_every_option_that_an_error_of_the_rooms_names_has_its_argument():
 
 
 @pytest.mark.parametrize(
-    ("fraction", "text"), [(0.0034, "0.34 %"), (0.0001, "0.01 %"), (1.0, "100 %"), (0.003, "0.3 %"), (0.126, "13 %")]
+    ("fraction", "text"),
+    [(0.0034, "0.34 %"), (0.0001, "0.01 %"), (1.0, "100 %"), (0.003, "0.3 %"), (0.126, "13 %"), (-0.0, "0 %")],
 )
 def test_a_fraction_is_told_with_two_significant_digits(fraction, text):
     assert percent(fraction) == text

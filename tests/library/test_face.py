@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -52,6 +53,16 @@ def test_every_function_explains_itself():
     assert all(function.__doc__ and len(function.__doc__) > 60 for function in functions)
     listed = re.findall(r"\w+", "".join(re.findall(r"^ {4}\w[\w ]*  .*|^ {16}.*", finray.__doc__, re.MULTILINE)))
     assert {function.__name__ for function in functions} <= set(listed)  # on the first screen of help(finray)
+
+
+def test_every_type_of_the_library_can_be_looked_up():
+    """Programs that build forms or check arguments ask for the types, which are loaded late."""
+    for name in set(finray.__all__) - {"__version__"}:
+        hints = get_type_hints(getattr(finray, name))
+        assert name[0].isupper() or "return" in hints, name
+    engines = get_args(get_type_hints(finray.RenderOptions)["engine"])
+    assert "cuda" in engines
+    assert all(f'"{engine}"' in finray.RenderOptions.__doc__ for engine in engines)
 
 
 def test_another_package_of_the_same_name_is_named(tmp_path, monkeypatch):

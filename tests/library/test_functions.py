@@ -1,5 +1,7 @@
 """Every function of the library on small examples, from a rig to a decision."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, sha256_of
 from finray_calib.lineage import findings
+from sim import design_toml, preset_design
 from sim.mechanics import STEPS
 from sim.mechanics._finger_mesh import MeshSteps
 from tests.command_line.running import succeed
@@ -124,6 +127,13 @@ def test_a_render_names_its_paints_and_is_recoloured(lab, paint, rendered, tmp_p
         finray.recolour_press(rendered)
     with pytest.raises(SimulateError, match="only one of red and green is given; give both"):
         finray.recolour_press(rendered, red=paint)
+
+
+@pytest.mark.parametrize("given", ["sun", "1:1:1", ("red", "green", "blue"), (1.0, 2.0), ((1.0,), (1.0, 2.0)), 3])
+def test_a_white_balance_that_is_none_is_refused_with_what_is_allowed(rendered, given):
+    allowed = 'must be three positive gains (red, green, blue) or "pad"'
+    with pytest.raises(SimulateError, match=f"white_balance={re.escape(repr(given))}: {re.escape(allowed)}"):
+        finray.recolour_press(rendered, white_balance=given)
 
 
 def test_the_verb_renders_the_same_press(lab, paint, rendered, tmp_path):
@@ -417,6 +427,17 @@ def test_a_design_changed_in_python_is_checked_again(paint):
     metres = design.indenter.model_copy(update={"depth_mm": -1.5})
     with pytest.raises(SimulateError, match=r"the design 'flat-70x35': 'indenter\.depth_mm' \(in mm\): must be"):
         finray.render_press(design.model_copy(update={"indenter": metres}), red=paint, green=paint)
+
+
+def test_a_sensor_is_needed_and_ready_made_ones_are_named(tmp_path):
+    with pytest.raises(
+        SimulateError, match=r"knuckle\.toml: no such file; give a ready-made sensor \(gelsight-flat, digit"
+    ):
+        finray.render_sensor("knuckle.toml")
+    (tmp_path / "finger.toml").write_text(design_toml(preset_design("flat-70x35")))
+    needed = r"finger\.toml: contains the design of a finger, but that of a classic sensor is needed$"
+    with pytest.raises(RecordError, match=needed):
+        finray.render_sensor(tmp_path / "finger.toml")
 
 
 def test_a_sensor_changed_in_python_is_checked_again(lab):

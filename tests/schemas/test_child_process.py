@@ -53,6 +53,21 @@ def test_results_and_messages_come_back_from_one_process(child):
     assert not is_child()
 
 
+def test_an_ended_child_leaves_no_file_open_and_can_be_called_again():
+    at_first = sorted(os.listdir("/proc/self/fd"))
+    child = Child()
+    try:
+        for _ in range(2):
+            assert child.call(f"{DYING}:add", {"a": 1.0, "b": 2.5})["sum"] == 3.5
+            child.end()
+            assert sorted(os.listdir("/proc/self/fd")) == at_first
+        with pytest.raises(ProcessDiedError):
+            child.call(f"{DYING}:raise_signal", {"number": signal.SIGKILL})
+        assert sorted(os.listdir("/proc/self/fd")) == at_first
+    finally:
+        child.end()
+
+
 @pytest.mark.parametrize(
     ("function", "arguments", "message"),
     [

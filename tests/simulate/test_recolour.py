@@ -218,7 +218,7 @@ def test_what_needs_a_new_render_is_refused(exciting):
     with pytest.raises(SimulateError, match="does not contain the light that it was rendered with"):
         recoloured(press(exciting, rendered_light=None), white_balance=(1.0, 1.0, 2.0))
     for wrong in ((1.0, 0.0, 1.0), (1.0, float("nan"), 1.0)):
-        with pytest.raises(SimulateError, match="needs three positive gains"):
+        with pytest.raises(SimulateError, match="must be three positive gains"):
             recoloured(rendered, white_balance=wrong)
     dark = press(exciting, no_contact_chains=np.zeros((36, 48, 4)))
     with pytest.raises(SimulateError, match="the pad without contact is black or not seen"):
