@@ -479,6 +479,12 @@ def run_captures(arguments: argparse.Namespace) -> None:
             f"{', '.join(recipe_names())}"
         )
     if arguments.recipe is None:
+        of_recipe = (arguments.circles, arguments.ball_diameter_mm, arguments.mm_per_px, arguments.predict_from)
+        if any(value is not None for value in of_recipe):
+            raise ImportFormatError(
+                "--circles, --ball-diameter-mm, --mm-per-px and --predict-from work only with --recipe NAME|FILE; add "
+                "it, or leave them out"
+            )
         _survey(folder, arguments.out)
         return
     recipe, recipe_file = _recipe(arguments)
