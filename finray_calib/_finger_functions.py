@@ -310,7 +310,9 @@ def render_press(
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
-    return made(simulate_press(scene, rendering, digests, progress), "render_press", files, seed)
+    with naming(SimulateError):
+        press = simulate_press(scene, rendering, digests, progress)
+    return made(press, "render_press", files, seed)
 
 
 def render_images(
@@ -343,7 +345,8 @@ def render_images(
     _require_options(options, _OF_A_PRESS)
     rendering = _rendering(seed, options)
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
-    products = simulate_images(scene, rendering, digests, progress)
+    with naming(SimulateError):
+        products = simulate_images(scene, rendering, digests, progress)
     return replace(products, press=made(products.press, "render_images", files, seed))
 
 
@@ -535,10 +538,11 @@ def sweep_light_angle(
         raise SimulateError(f"angles_deg: {narrow_sweep_text(angles_deg)}")
     scene, digests, files = _scene(design, {"red": red, "green": green}, surfaces, options)
     paths = ProbePaths(options.get("samples", DEFAULT_SAMPLES_PER_PROBE), SWEEP_REPEATS, seed)
-    sweep = light_angle_sweep(
-        scene.finger, scene.calibrations, angles_deg, paths, digests, progress,
-        shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
-    )  # fmt: skip
+    with naming(SimulateError):
+        sweep = light_angle_sweep(
+            scene.finger, scene.calibrations, angles_deg, paths, digests, progress,
+            shapes=scene.shapes, further_objectives=options.get("all_objectives", False),
+        )  # fmt: skip
     return made(sweep, "sweep_light_angle", files, seed)
 
 

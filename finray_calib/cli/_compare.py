@@ -194,10 +194,10 @@ def compare_force_verb(arguments: argparse.Namespace) -> None:
             "--pairs"
         )
     of_images = (arguments.register, arguments.despite_mismatch, arguments.relative, arguments.metric)
-    if any(of_images) or arguments.normal_map is not None:
+    if any(of_images) or arguments.normal_map is not None or arguments.scale is not None:
         raise CompareError(
             "--force compares no images, so it cannot be combined with --register, --despite-mismatch, --relative, "
-            "--normal-map or --metric; leave them out"
+            "--normal-map, --scale or --metric; leave them out"
         )
 
     import numpy as np

@@ -310,13 +310,12 @@ def _report_optimum(optimum: "DesignOptimum") -> None:
     from finray_calib.reports.studies import front_rows
 
     say(optimum.sentence)
-    for gain in optimum.gains:
+    for one in optimum.gains:
         confirmed = ""
-        if gain.confirmed_rel is not None and gain.confirmed_95_rel is not None:
-            low, high = gain.confirmed_95_rel
-            confirmed = f", confirmed {100 * gain.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
-        seen = f"in the search {100 * gain.seen_rel:+.1f} %{confirmed}"
-        say(f"  {gain.objective} compared with the {gain.against}: {seen}")
+        if one.confirmed_rel is not None and one.confirmed_95_rel is not None:
+            low, high = one.confirmed_95_rel
+            confirmed = f", confirmed {100 * one.confirmed_rel:+.1f} % ({100 * low:+.1f} % to {100 * high:+.1f} %)"
+        say(f"  {one.objective} compared with the {one.against}: in the search {100 * one.seen_rel:+.1f} %{confirmed}")
     front = front_rows(optimum)
     if len(optimum.objectives) > 1:
         say(f"  on the front: {len(front)} of {len(optimum.designs)} designs")
@@ -346,7 +345,7 @@ def add_tolerances(actions: "argparse._SubParsersAction[argparse.ArgumentParser]
         "it was built (own), or use the calibration of the finger as drawn for all (shared)")  # fmt: skip
     tolerances.add_argument("--runs", type=int, default=128, metavar="N",
                             help="number of fingers in which all numbers vary together (default: 128)")  # fmt: skip
-    tolerances.add_argument("--samples", type=int, default=1024, metavar="N",
+    tolerances.add_argument("--samples", type=whole_number(1, 10**6), default=1024, metavar="N",
                             help="light paths per point and repeat (default: 1024, 1.4 to 3.6 s a finger)")  # fmt: skip
     add_engine(tolerances, is_scalar_enough=False)
     tolerances.add_argument("--out", type=Path, metavar="JSON", help="default: NAME.tolerances.json; must be new")
@@ -373,6 +372,8 @@ def run_tolerances(arguments: argparse.Namespace) -> None:
     from sim import given_design
     from sim.experiments import ToleranceSettings, read_design_files
 
+    if len(dict(arguments.vary)) < len(arguments.vary):
+        raise SimulateError("--vary: a field is given twice; give each field once")
     design, files, folder = given_design(arguments.design)
     files = [*files, *read_design_files(design, folder, ["camera"]).values()]
     out = require_new(arguments.out or Path(f"{file_name(design.name)}.tolerances.json"), ".json")

@@ -479,7 +479,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
             f"{', '.join(recipe_names())}"
         )
     if arguments.recipe is None:
-        _survey(folder, arguments.out)
+        _survey(folder, arguments)
         return
     recipe, recipe_file = _recipe(arguments)
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.captures"))
@@ -513,12 +513,19 @@ def run_captures(arguments: argparse.Namespace) -> None:
     _tell(out, told, found.left_out, predicted)
 
 
-def _survey(folder: Path, out: Path | None) -> None:
+def _survey(folder: Path, arguments: argparse.Namespace) -> None:
     """Say what a folder holds, and write the start of a recipe."""
+    from data_schemas import ImportFormatError
     from data_schemas.storage import write_bytes
     from finray_calib.exchange import survey_folder
 
-    out = require_new(out or Path(f"{folder.resolve().name.removesuffix('.zip')}.recipe.toml"), ".toml")
+    of_recipe = (arguments.circles, arguments.ball_diameter_mm, arguments.mm_per_px, arguments.predict_from)
+    if any(value is not None for value in of_recipe):
+        raise ImportFormatError(
+            "--circles, --ball-diameter-mm, --mm-per-px and --predict-from work only with --recipe NAME|FILE; add "
+            "it, or leave them out"
+        )
+    out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.recipe.toml"), ".toml")
     found = survey_folder(folder)
     write_bytes(out, found.recipe.encode())
     wrote(out, "the start of a recipe: correct it")

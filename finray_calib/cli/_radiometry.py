@@ -77,10 +77,10 @@ def run(arguments: argparse.Namespace) -> None:
             arguments.accept_repeat,
         )  # fmt: skip
         return
-    if arguments.camera is not None or arguments.pixels:
+    if arguments.camera is not None or arguments.pixels or arguments.accept_repeat:
         raise RadiometryError(
-            f"{arguments.session}: is a camera session, but --camera and --pixels are only for "
-            "paint sessions; leave them out"
+            f"{arguments.session}: is a camera session, but --camera, --pixels and "
+            "--accept-repeat are only for paint sessions; leave them out"
         )
     characterise(arguments.session, arguments.out, arguments.report)
 

@@ -211,6 +211,10 @@ def run_design_study(arguments: argparse.Namespace) -> None:
 
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
+    if arguments.paint and not plan.measure.images:
+        raise SimulateError(
+            f"{path}: the plan renders no images (measure.images = false), so paints have no effect; leave --paint out"
+        )
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_folder(arguments.out or Path(file_name(plan.name)))
     if out.exists() and any(out.iterdir()) and not any((out / name).is_dir() for name in STUDY_FOLDERS):

@@ -83,7 +83,8 @@ _finray() {{
   case "$command $before" in
 {choices}
   esac
-  COMPREPLY=($(compgen -W "$words" -- "$current"))
+  COMPREPLY=()
+  while IFS= read -r word; do COMPREPLY+=("${{word// /\\\\ }}"); done < <(compgen -W "$words" -- "$current")
 }}
 complete -o default -F _finray finray
 """
@@ -114,7 +115,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
         options += [f'    "{command}|-"*) words="{flags}" ;;', f'    "{command}|"*) words="{first}" ;;']
         for action in known:
             if action.option_strings and action.choices:
-                chosen = " ".join(map(str, action.choices))
+                chosen = " ".join(str(choice).replace(" ", "\\ ") for choice in action.choices)
                 choices += [f'    "{command} {flag}") words="{chosen}" ;;' for flag in action.option_strings]
     names = "|".join(f'"{command}"' for command in rooms if command)
     script = COMPLETION.format(commands=names, options="\n".join(options), choices="\n".join(choices))

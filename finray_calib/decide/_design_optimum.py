@@ -319,11 +319,11 @@ def design_optimum(
     judged = judge_designs(ensembles, searched.places[usable], (compared[0], compared[1], compared[2]), seed)
     gains = design_gains(judged, searched.losses[list(compared)], objectives, confirmed)
     regret = -np.expm1(-judged.regret_draws)
-    regret_95 = float(np.quantile(regret, 0.95))
+    most = float(np.quantile(judged.regret_draws, 0.95))
     best = searched.evaluated[last]
     return DesignOptimum(
         name=f"{best.design.name}, optimised",
-        sentence=_sentence(searched, gains, regret_95),
+        sentence=_sentence(searched, gains, most),
         objectives=objectives,
         parameters=searched.parameters,
         designs=_rows(searched, judged),
@@ -331,7 +331,7 @@ def design_optimum(
         screen_best=screen + 1,
         gains=gains,
         regret_rel=float(regret.mean()),
-        regret_95_rel=regret_95,
+        regret_95_rel=float(-np.expm1(-most)),
         unexplained_rel={o.name: e.left_out_error_rel for e, o in zip(emulators, objectives, strict=True)},
         tolerance_rel=TOLERANCE_REL,
         effects=main_effects(ensembles, objectives, searched.parameters, seed),
@@ -379,8 +379,8 @@ def _ends(limits: Floats) -> list[tuple[float, float]]:
     return [(float(min(pair)), float(max(pair))) for pair in limits.T]
 
 
-def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: float) -> str:
-    """Say what to build, what it gains, and what could still be gained."""
+def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], most: float) -> str:
+    """Say what to build, what it gains, and what could still be gained: at `most` this difference of losses."""
     changes = ", ".join(f"{name} {value:.4g}" for name, value in searched.changes[-1].items())
     against_start = [gain for gain in gains if gain.against == "start"]
     told = "; ".join(_gain_words(gain) for gain in against_start)
@@ -388,10 +388,12 @@ def _sentence(searched: DesignSearch, gains: Sequence[DesignGain], regret_95: fl
     build = f"Build the finger with {changes}: {told}"
     if not is_better:
         build = f"Keep the starting design: the best design found ({changes}) is not shown to be better: {told}"
-    whole = "" if len(searched.objectives) == 1 else " in all objectives together (product of their ratios)"
+    first, *others = searched.objectives
+    better_rel = float(-np.expm1(-most) if others else gain_rel(most, first))
+    whole = " in all objectives together (product of their ratios)" if others else ""
     return (
         f"{build}. With 95 % probability no design within the limits is better by more "
-        f"than {100 * regret_95:.1f} %{whole}, according to the emulator."
+        f"than {100 * better_rel:.1f} %{whole}, according to the emulator."
     )
 
 

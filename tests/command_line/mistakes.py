@@ -1001,6 +1001,17 @@ CASES = (
         file("set.zip", "no archive"),
     ),
     Case(
+        "options of a recipe without one",
+        "import captures {lab} --circles none.csv --out {tmp}/recipe.toml",
+        r"--circles, --ball-diameter-mm, --mm-per-px and --predict-from work only with --recipe NAME\|FILE; add it",
+    ),
+    Case(
+        "paints of a study without images",
+        "study run {tmp}/study.toml --paint red=none.json --paint green=none.json",
+        r"study\.toml: the plan renders no images \(measure\.images = false\), so paints have no effect; leave --paint",
+        file("study.toml", STUDY),
+    ),
+    Case(
         "parts of a classic sensor",
         "design export digit",
         r"digit: is a classic sensor, but a finger is needed",

@@ -96,6 +96,10 @@ def test_a_model_that_is_off_is_told_and_drawn(lab: Path) -> None:
         ("compare --force {lab}/bench.csv", "give only NAME.mechanics.json"),
         ("compare {lab}/p.mechanics.json --force {lab}/bench.csv --register", "--force compares no images"),
         (
+            "compare {lab}/p.mechanics.json --force {lab}/bench.csv --scale s.json --out {lab}/x.json",
+            "--scale or --metric",
+        ),
+        (
             "compare {lab}/p.mechanics.json --force {lab}/bench.csv --out {lab}/x.png",
             "choose an --out that ends in .json",
         ),

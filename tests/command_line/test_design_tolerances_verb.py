@@ -56,6 +56,8 @@ def test_what_cannot_vary_is_refused(paints: Path, tmp_path: Path) -> None:
         ("--vary light.angle_deg=-2", "0 or more, and finite"),
         ("--vary light.angle_deg", "must be FIELD=HALF_RANGE"),
         ("--runs 3", "runs"),
+        ("--vary light.angle_deg=1 --vary light.angle_deg=2", "--vary: a field is given twice; give each field once"),
+        ("--samples 0", "argument --samples: '0' must be a whole number from 1 to 1000000"),
     ):
         outcome = finray(f"design tolerances flat-70x35 {files} {given} --out {tmp_path}/found.json")
         assert outcome.status == 2

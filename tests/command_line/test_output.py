@@ -197,7 +197,7 @@ def complete(folder: Path, *words: str) -> set[str]:
     ask = f'COMP_WORDS=("$@"); COMP_CWORD={len(words) - 1}; _finray; printf "%s\\n" "${{COMPREPLY[@]}}"'
     shell = ["bash", "-c", f"{script}\n{ask}", "bash", *words]
     done = subprocess.run(shell, cwd=folder, capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
+    return set(done.stdout.splitlines()) - {""}
 
 
 def test_bash_completes_commands_options_and_choices(tmp_path):
@@ -209,6 +209,12 @@ def test_bash_completes_commands_options_and_choices(tmp_path):
     assert complete(tmp_path, "finray", "fit", "b") == set()
     for command in COMMANDS:
         assert {"--json", "--quiet"} <= complete(tmp_path, "finray", *command.split(), "--")
+
+
+def test_bash_completes_a_choice_of_two_words_as_one(tmp_path):
+    """The halves, which were offered, are no choices; the blank is typed as the shell wants it."""
+    assert complete(tmp_path, "finray", "study", "dataset", "--press", "") == {"analytic", "finite\\ elements"}
+    assert complete(tmp_path, "finray", "study", "dataset", "--press", "fi") == {"finite\\ elements"}
 
 
 def test_the_script_is_not_folded_on_a_terminal():

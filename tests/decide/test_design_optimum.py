@@ -1,5 +1,6 @@
 """A search over designs is judged: gains, front, real differences, and what could still be gained."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -163,6 +164,16 @@ def test_the_bound_on_what_could_be_gained_covers_it() -> None:
     found = design_optimum(worse, None, seed=1)
     true = 1.0 - 2.0 / error_of(off)
     assert 0.04 < true < found.regret_95_rel < 0.08
+
+
+def test_what_could_be_gained_of_light_is_relative_to_the_chosen_design() -> None:
+    """The best design is exp(0.8) times as bright, 123 % more; 55 %, its own loss, was told as the gain."""
+    found = design_optimum(search((LIGHT,), 0.001, (0.2, 0.5)), None, seed=1)
+    told = re.search(r"no design within the limits is better by more than ([0-9.]+) %", found.sentence)
+    assert told is not None
+    # three standard deviations of the noise of both designs, 0.1 % each, and the rounding of the sentence
+    assert float(told[1]) / 100.0 == pytest.approx(np.expm1(0.8), abs=3 * np.sqrt(2.0) * 1e-3 * np.exp(0.8) + 5e-4)
+    assert found.regret_95_rel == pytest.approx(1.0 - np.exp(-0.8), abs=3 * np.sqrt(2.0) * 1e-3)
 
 
 def test_losses_weigh_ratios_alike() -> None:

@@ -8,6 +8,7 @@ from html_page import Page, assert_stands_alone
 from data_schemas import FingerDesign, StudyMetric, StudyPoint, StudyResult, StudyRow
 from finray_calib.reports._methods import study_methods
 from finray_calib.reports.studies import (
+    _design_study_page,
     design_study_page,
     points_by_code,
     study_differences,
@@ -172,3 +173,15 @@ def test_two_studies_of_equal_points_seldom_differ_and_a_real_difference_is_foun
     (same,) = study_differences(study({0.0: 1.0}, None), study({0.0: 1.0}, None))
     assert same.is_apart is None
     assert study_differences_text([same]).endswith("the same")
+
+
+def test_pictures_of_many_points_fit_into_webp(monkeypatch):
+    """WebP holds 16383 px: 52 points, two in a row, were taller at 120 dots per inch, and an empty file was stored."""
+    tallest = _design_study_page.TALLEST_WEBP_PX
+    heights = (tallest, tallest + 1)
+    assert [cv2.imencode(".webp", np.zeros((height, 1, 3), np.uint8))[0] for height in heights] == [True, False]
+    monkeypatch.setattr(_design_study_page, "TALLEST_WEBP_PX", 800)
+    points = [pictured(k, {"light.angle_deg": float(k // 2), "indenter.depth_mm": 0.8 + k % 2}) for k in range(2, 8)]
+    assert _pictures_in_a_row(points) == 2
+    pictures = cv2.imdecode(np.frombuffer(study_pictures_webp(points), np.uint8), cv2.IMREAD_COLOR)
+    assert 750 < pictures.shape[0] <= 800

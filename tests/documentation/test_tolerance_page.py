@@ -8,6 +8,8 @@ from data_schemas import FingerTolerances, LightAngleDecision
 from data_schemas.storage import read_record
 from finray_calib.reports._finger_page import _assessed_numbers
 from finray_calib.reports.studies import limit_text, tolerance_page
+from finray_calib.reports.studies._tolerance_page import _labels
+from sim import preset_design
 
 EXAMPLE = Path(__file__).parents[1] / "schemas" / "frozen" / "FingerTolerances" / "v1" / "example.json"
 
@@ -31,6 +33,21 @@ def test_a_number_of_the_mirror_alone_is_drawn() -> None:
     assert "calibration of the finger as drawn" in tolerance_page(alone, "", {})
     assert limit_text(row.less, "mm") == "24.9 mm"
     assert limit_text(row.more, "mm") == "over 32 mm"
+
+
+def test_numbers_of_the_film_and_of_the_second_panel_stand_at_their_parts() -> None:
+    found = read_record(EXAMPLE, FingerTolerances)
+    rows = tuple(
+        found.rows[0].model_copy(update={"field": field, "unit": unit})
+        for field, unit in (("pad.film.thickness_mm", "mm"), ("second_light.angle_deg", "deg"))
+    )
+    design = preset_design("flat-70x35-two-lights")
+    both = found.model_copy(update={"rows": rows, "design": design})
+    assert "pad.film.thickness_mm" in tolerance_page(both, "", {})
+    film, panel = _labels(both)[True]
+    assert film.text.splitlines()[1].startswith("film thickness: ")
+    _, y_mm, z_mm = design.second_light.position_mm
+    assert (panel.text.splitlines()[0], panel.place_mm) == ("second light", (z_mm, y_mm))
 
 
 def test_a_page_is_not_good_by_an_emulator_that_is_not_or_against_fingers_that_contradict_it() -> None:

@@ -25,6 +25,14 @@ from tests.command_line.running import finray as run_verb
 from tests.command_line.running import succeed
 
 ROOMS = Path(finray.__file__).parent
+RENDERERS = tuple(
+    ROOMS.parent / "sim" / path
+    for path in (
+        "experiments/_light_angle.py", "experiments/_painted_finger.py", "experiments/_rendered_press.py",
+        "experiments/_sensor_fit.py", "experiments/_sensor_layers.py", "optics/_render.py",
+        "optics/_shared_gathers.py", "surface_meshes/_finger_shape.py",
+    )
+)  # fmt: skip
 LIBRARY_ROOMS = ("radiometry", "spectra", "fit", "sensing", "force", "compare", "decide")
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 NOT_FROM_THE_LIBRARY = {
@@ -181,6 +189,15 @@ def test_errors_of_the_library_name_arguments():
         finray.decide_light_angle(sweep(), aim="normal")
 
 
+def test_errors_of_renders_name_arguments(lab, paint):
+    finger, how = lab / "finger.toml", {"red": paint, "green": paint, "samples": 2, "engine": "scalar"}
+    for render in (finray.render_press, finray.render_images):
+        with pytest.raises(SimulateError, match=r"^shared_light needs a compiled .* or leave shared_light out$"):
+            render(finger, shared_light=True, **how)
+    with pytest.raises(SimulateError, match=r"leave out engine='scalar', .* or give all_objectives=False$"):
+        finray.sweep_light_angle(finger, [0.0, 10.0, 20.0], all_objectives=True, **how)
+
+
 def test_a_file_that_cannot_be_written_is_told_in_words(home):
     (home / "file").write_text("here")
     for place in ("a\0b.json", "x" * 300 + ".json", "file/x.json", "/proc/x.json"):
@@ -208,15 +225,11 @@ def test_increments_that_no_press_takes_are_refused_before_the_work(increments):
 
 
 def test_every_option_that_an_error_of_the_rooms_names_has_its_argument():
-    named = {
-        option
-        for room in LIBRARY_ROOMS
-        for path in (ROOMS / room).glob("*.py")
-        for option in OPTION.findall(path.read_text(encoding="utf-8"))
-    }
+    files = [*(path for room in LIBRARY_ROOMS for path in (ROOMS / room).glob("*.py")), *RENDERERS]
+    named = {option for path in files for option in OPTION.findall(path.read_text(encoding="utf-8"))}
     known = {option for text in _ARGUMENTS for option in OPTION.findall(text)}
     assert named - known == set(NOT_FROM_THE_LIBRARY)
-    assert known - named == {"--out", "--paint"} - named  # of captures, in rigs; of renders, in sim
+    assert known - named == {"--out"} - named  # of captures, in rigs
 
 
 @pytest.mark.parametrize(

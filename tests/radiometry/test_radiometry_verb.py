@@ -102,9 +102,9 @@ def test_camera_session_becomes_a_characterisation_that_the_paint_session_uses(
 
 
 def test_what_is_for_paint_sessions_is_refused_for_a_camera_session(camera_folder, tmp_path) -> None:
-    for option in (["--pixels"], ["--camera", tmp_path / "x.json"]):
+    for option in (["--pixels"], ["--accept-repeat"], ["--camera", tmp_path / "x.json"]):
         with pytest.raises(
-            RadiometryError, match="is a camera session, but --camera and --pixels are only for paint sessions"
+            RadiometryError, match="is a camera session, but --camera, --pixels and --accept-repeat are only for paint"
         ):
             run(camera_folder, *option)
 

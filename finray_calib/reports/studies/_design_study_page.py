@@ -49,6 +49,7 @@ MOST_PICTURES = 60
 """Points whose pictures the page shows; the records hold all."""
 
 _LARGEST_SIDE_PX, _WEBP_QUALITY = 200, 85
+_DOTS_PER_INCH, TALLEST_WEBP_PX = 120, 16383
 _PANELS_IN_A_ROW, _PICTURES_IN_A_ROW, _MOST_IN_A_ROW = 2, 4, 6
 _WHITE_PERCENTILE = 97.0  # of what is lit: brighter are the base and, at some angles, the panel itself
 _CHANGE_SHOWN_REL, _DARK_REL, _CHANGE_BLUR_PX = 0.5, 0.02, 1.0
@@ -378,7 +379,8 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
     columns = _pictures_in_a_row(shown)
     rows, views = -(-len(shown) // columns), len(_VIEWS)
     with styled():
-        figure = new_figure(2.5 * columns, 5.4 * rows)
+        height_in = 5.4 * rows
+        figure = new_figure(2.5 * columns, height_in)
         for k, (point, pictures) in enumerate(zip(shown, _all_views(shown), strict=True)):
             row, column = divmod(k, columns)
             for below, image in enumerate(pictures):
@@ -391,7 +393,7 @@ def study_pictures_webp(points: Sequence[StudyPoint]) -> bytes | None:
                 elif not below:
                     axes.set_title(_names(point), fontsize=8, loc="left", color=INK)
         figure.suptitle(f"From above: {', '.join(_VIEWS)}", fontsize=8, x=0.01, ha="left", color=MUTED)
-        png = png_bytes(figure)
+        png = png_bytes(figure, min(_DOTS_PER_INCH, int(TALLEST_WEBP_PX / height_in)))
     picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
     return bytes(cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY])[1])
 

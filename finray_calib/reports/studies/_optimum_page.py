@@ -98,9 +98,9 @@ def optimum_page(optimum: DesignOptimum, command: str, digests: Mapping[str, str
                 ),
                 _screen_number(optimum),
                 KeyNumber(
-                    "Still to gain",
+                    "Lost at most",
                     percent(optimum.regret_95_rel),
-                    f"at most, by another design within the limits (95 %, emulator); {percent(optimum.regret_rel)} "
+                    f"against the best design within the limits (95 %, emulator); {percent(optimum.regret_rel)} "
                     "expected",
                     "good" if optimum.regret_95_rel < _SMALL_REGRET_REL else "care",
                     "little is left" if optimum.regret_95_rel < _SMALL_REGRET_REL else "more evaluations may find it",

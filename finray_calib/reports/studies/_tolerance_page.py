@@ -54,6 +54,7 @@ _WORDS: Final = {
     "yield_rel": "yield",
     "emission_sd": "emission",
 }
+_AXES: Final = {"x": "across (x)", "y": "into the pad (y)", "z": "along the pad (z)"}
 _LABEL_ROW_MM: Final = 17.0
 _MARGIN_MM: Final = 20.0
 _WIDTH_IN: Final = 9.5
@@ -332,10 +333,10 @@ def _part_places(design: FingerDesign) -> dict[str, tuple[tuple[float, float], b
     pad, camera, mirror = design.pad, camera_pose(design).centre_mm, mirror_shape(design).apex_yz_mm
     along = {"red paint": 0.35, "pad": 0.55, "green paint": 0.75, "coating": 0.9}
     places = {part: ((share * pad.length_mm, 0.6 * pad.thickness_mm), True) for part, share in along.items()}
-    light = (design.light.position_mm[2], design.light.position_mm[1])
+    lights = zip(("light", "second_light"), design.lights, strict=False)
     return {
         **places,
-        "light": (light, True),
+        **{part: ((light.position_mm[2], light.position_mm[1]), True) for part, light in lights},
         "camera": ((float(camera[2]), float(camera[1])), False),
         "mirror": ((float(mirror[1]), float(mirror[0])), False),
     }
@@ -343,10 +344,8 @@ def _part_places(design: FingerDesign) -> dict[str, tuple[tuple[float, float], b
 
 def _name(field: str) -> str:
     """Return what a number is called on the drawing."""
-    path, _, axis = field.partition(".")
-    if axis:
-        return {"x": "across (x)", "y": "into the pad (y)", "z": "along the pad (z)"}[axis]
-    return _WORDS.get(path, path)
+    within, _, last = field.rpartition(".")
+    return _AXES.get(last) or f"{within} {_WORDS.get(last, last)}".lstrip()
 
 
 def _range(row: ToleranceRow) -> str:
