@@ -6,7 +6,7 @@ and laid out as the RGGB mosaic that radiometry reduces; filters, camera respons
 
 import glob
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -30,6 +30,7 @@ from data_schemas import (
     ImportedFilter,
     ImportFormatError,
     LampSettings,
+    LaserSettings,
     LightState,
     PaintPlan,
     RigFile,
@@ -350,8 +351,8 @@ def _require_not_below_black(path: Path, counts: Counts, description: BandFolder
 def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -> CaptureSession:
     """Return the folder as the paint session that radiometry reduces; it is never stored."""
     camera = description.camera
-    filter_curves = filter_curves_of(folder, description)
-    wheel = wheel_of(folder, description, filter_curves)
+    filter_curves = filter_curves_of(folder, description.filters)
+    wheel = wheel_of(folder / DESCRIPTION_NAME, description.filters, filter_curves)
     _require_passes_laser(folder, description, wheel)
     response, lamp = response_of(folder, description), lamp_of(folder, description)
     # Constructed, not validated: a rig wants drivers or a simulated bench, and an imported folder has neither.
@@ -394,17 +395,22 @@ def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWh
     chosen = next(one for one in wheel.filters if one.name == description.excitation_filter)
     low_nm, high_nm = chosen.center_nm - 0.5 * chosen.fwhm_nm, chosen.center_nm + 0.5 * chosen.fwhm_nm
     laser = description.laser
-    if laser.fwhm_nm > WIDEST_LASER_NM:
-        raise ImportFormatError(
-            f"{folder / DESCRIPTION_NAME}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
-            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
-            "half maximum in nm"
-        )
+    require_line(folder / DESCRIPTION_NAME, laser)
     if not low_nm - 0.5 * laser.fwhm_nm <= laser.wavelength_nm <= high_nm + 0.5 * laser.fwhm_nm:
         raise ImportFormatError(
             f"{folder / DESCRIPTION_NAME}: excitation_filter '{chosen.name}' passes {low_nm:g} to {high_nm:g} nm, but "
             f"laser.wavelength_nm is {laser.wavelength_nm:g} nm; name the filter that passes the laser, or correct the "
             "wavelength"
+        )
+
+
+def require_line(place: Path, laser: LaserSettings) -> None:
+    """Refuse a source that is no line; the error names the file `place`."""
+    if laser.fwhm_nm > WIDEST_LASER_NM:
+        raise ImportFormatError(
+            f"{place}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
+            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
+            "half maximum in nm"
         )
 
 
@@ -435,36 +441,40 @@ def require_inside(folder: Path, description: BandFolder) -> None:
         A curve's path is absolute or leads out of the folder.
     """
     for name in named_files(description):
-        if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise CurveError(
-                f"{folder / DESCRIPTION_NAME}: {name!r} points outside the folder; move the curve file "
-                "into the folder of the description"
-            )
+        curve_inside(folder / DESCRIPTION_NAME, name)
 
 
-def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
+def curve_inside(place: Path, name: str) -> Path:
+    """Return the path of a curve that the file `place` names, if it lies in or below the folder of that file."""
+    if not (place.parent / name).resolve().is_relative_to(place.parent.resolve()):
+        raise CurveError(
+            f"{place}: {name!r} points outside the folder; move the curve file into the folder of the description"
+        )
+    return place.parent / name
+
+
+def filter_curves_of(folder: Path, filters: Iterable[ImportedFilter]) -> dict[str, SpectralCurve]:
     """Return the measured transmissions of the filters that name one, by the filter's name."""
-    return {given.name: read_filter_curve(folder / given.curve) for given in description.filters if given.curve}
+    return {given.name: read_filter_curve(folder / given.curve) for given in filters if given.curve}
 
 
-def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, SpectralCurve]) -> FilterWheelSettings:
+def wheel_of(
+    place: Path, filters: Iterable[ImportedFilter], curves: Mapping[str, SpectralCurve]
+) -> FilterWheelSettings:
     """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
 
     Raises
     ------
     CurveError
-        A curve holds no whole pass band, or two filters are the same.
+        A curve holds no whole pass band, or two filters are the same; the error names the file `place`.
     """
     try:
-        filters = tuple(
-            _filter(slot, given, curves.get(given.name)) for slot, given in enumerate(description.filters, 1)
+        return FilterWheelSettings(
+            filters=tuple(_filter(slot, given, curves.get(given.name)) for slot, given in enumerate(filters, 1))
         )
-        return FilterWheelSettings(filters=filters)
     except FieldError as error:
         fault = error.without_field
-        raise CurveError(
-            f"{folder / DESCRIPTION_NAME}, filters: {fault}; check that all wavelengths are in nm"
-        ) from None
+        raise CurveError(f"{place}, filters: {fault}; check that all wavelengths are in nm") from None
 
 
 def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
@@ -485,12 +495,17 @@ def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, S
             if camera.response == "assumed"
             else read_camera_response(folder / camera.response)
         )
-    if camera.response == "assumed":
+    return one_channel(None if camera.response == "assumed" else folder / camera.response)
+
+
+def one_channel(path: Path | None) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Return the response of a detector of one channel three times: that of a CSV file, or a flat one."""
+    if path is not None:
+        one = _monochrome_response(path)
+    else:
         one = SpectralCurve(
             name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
         )
-    else:
-        one = _monochrome_response(folder / camera.response)
     return one, one, one
 
 
