@@ -1,4 +1,4 @@
-"""What a lab measures beside its captures: force over displacement, band signals, and pictures of a calibration board.
+"""What a lab measures beside its captures: forces, band signals, filters, detectors, pictures of a calibration board.
 
 The CSV of a force has comment lines that start with #, one header row, and units in its names; that of band signals may
 have any marks between its columns, and an empty one can be had. Pictures of a board are read as grey levels; the
@@ -6,7 +6,7 @@ calibration made of them leaves as OpenCV's programs read it.
 """
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -21,10 +21,16 @@ from data_schemas import (
     CameraCalibration,
     CompareError,
     CurveError,
+    FieldError,
+    FilterWheelSettings,
+    ImportedFilter,
     ImportFormatError,
+    LaserSettings,
     RigFile,
+    SpectralCurve,
+    half_maximum_nm,
 )
-from data_schemas.storage import finite_number, read_csv, read_table, read_toml, tiff_image
+from data_schemas.storage import finite_number, read_csv, read_filter_curve, read_table, read_toml, tiff_image
 from finray_calib.exchange._set_files import TIFF_STARTS
 from finray_calib.force import MeasuredForce
 from rigs.cameras import decoded_picture, read_content, read_raw
@@ -351,3 +357,87 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
             "another unit"
         )
     return value
+
+
+WIDEST_LASER_NM = 60.0
+"""Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
+MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
+
+
+def require_line(place: Path, laser: LaserSettings) -> None:
+    """Refuse a source that is no line; the error names the file `place`."""
+    if laser.fwhm_nm > WIDEST_LASER_NM:
+        raise ImportFormatError(
+            f"{place}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
+            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
+            "half maximum in nm"
+        )
+
+
+def curve_inside(place: Path, name: str) -> Path:
+    """Return the path of a curve that the file `place` names, if it lies in or below the folder of that file."""
+    if not (place.parent / name).resolve().is_relative_to(place.parent.resolve()):
+        raise CurveError(
+            f"{place}: {name!r} points outside the folder; move the curve file into the folder of the description"
+        )
+    return place.parent / name
+
+
+def filter_curves_of(folder: Path, filters: Iterable[ImportedFilter]) -> dict[str, SpectralCurve]:
+    """Return the measured transmissions of the filters that name one, by the filter's name."""
+    return {given.name: read_filter_curve(folder / given.curve) for given in filters if given.curve}
+
+
+def wheel_of(
+    place: Path, filters: Iterable[ImportedFilter], curves: Mapping[str, SpectralCurve]
+) -> FilterWheelSettings:
+    """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
+
+    Raises
+    ------
+    CurveError
+        A curve holds no whole pass band, or two filters are the same; the error names the file `place`.
+    """
+    try:
+        return FilterWheelSettings(
+            filters=tuple(_filter(slot, given, curves.get(given.name)) for slot, given in enumerate(filters, 1))
+        )
+    except FieldError as error:
+        fault = error.without_field
+        raise CurveError(f"{place}, filters: {fault}; check that all wavelengths are in nm") from None
+
+
+def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
+    """Return a filter by its nominal values, or by centre and width of its measured curve."""
+    known = given.model_dump(exclude_none=True)
+    if curve is not None:
+        low_nm, high_nm = half_maximum_nm(curve)
+        known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
+    return BandPassFilter.model_validate({"slot": slot, **known})
+
+
+def one_channel(path: Path | None) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Return the response of a detector of one channel three times: that of a CSV file, or a flat one."""
+    if path is not None:
+        one = _monochrome_response(path)
+    else:
+        one = SpectralCurve(
+            name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
+        )
+    return one, one, one
+
+
+def _monochrome_response(path: Path) -> SpectralCurve:
+    """Read the response of a monochrome camera, 0..1."""
+    header, table = read_table(path)
+    if header != MONOCHROME_COLUMNS:
+        raise CurveError(
+            f"{path}: the header is {','.join(header)[:80]}, but a monochrome response needs "
+            f"{','.join(MONOCHROME_COLUMNS)}"
+        )
+    if (table[:, 1] < 0).any() or not table[:, 1].any():
+        raise CurveError(f"{path}: response_percent must be at least 0 in every row and above 0 in one or more")
+    try:
+        return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
+    except FieldError as error:
+        raise CurveError(f"{path}: {error.without_field}") from None

@@ -47,14 +47,18 @@ from data_schemas.storage import (
     read_filter_curves,
     read_toml,
 )
-from finray_calib.exchange._band_folder import curve_inside, filter_curves_of, one_channel, require_line, wheel_of
 from finray_calib.exchange._lab_measurements import (
     CHANNELS,
     FILTER_DATA,
     READINGS,
     SignalRow,
     SignalTable,
+    curve_inside,
+    filter_curves_of,
+    one_channel,
     read_signal_cells,
+    require_line,
+    wheel_of,
 )
 from finray_calib.radiometry import (
     LaserLevel,
