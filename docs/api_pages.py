@@ -16,6 +16,7 @@ PACKAGES = ("finray_calib", "sim", "rigs", "data_schemas")
 BESIDE = {
     "tactile-captures.md": "Tactile captures in one container: a layout that any program can write",
     "files-that-are-read.md": "Files that are read: formats, limits, what is refused, how it was tried",
+    "tables-of-band-signals.md": "Tables of band signals: a paint that was measured by other means, as numbers",
     "rooms.md": "Packages of the code and what they import",
     "practice-faults.md": "Faults of the simulated rig, to practise on",
     "extend-finray.md": "Extend finray from a package of your own: ten kinds, a protocol and a contract each",

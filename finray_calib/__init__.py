@@ -11,7 +11,7 @@
 Functions take records or the paths of stored ones, and return records; the command line calls the same code.
 
     capture     open_rig, capture_session
-    radiometry  reduce_session, reduce_pixels, import_bands
+    radiometry  reduce_session, reduce_pixels, import_bands, import_signals
     fit         fit_paint, map_paint
     simulate    finger_design, press_finger, render_press, render_images, recolour_press, sweep_light_angle
                 render_sensor, fit_sensor
@@ -69,6 +69,7 @@ if TYPE_CHECKING:
         decide_light_angle,
         fit_paint,
         import_bands,
+        import_signals,
         map_paint,
         open_rig,
         read_record,
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
         trace_record,
         write_record,
     )
+    from finray_calib.exchange import SignalOptions
 
     __version__: str
 
@@ -150,6 +152,7 @@ __all__ = [
     "RenderOptions",
     "RigFile",
     "SensorFit",
+    "SignalOptions",
     "SimulatedPress",
     "TactileCapture",
     "__version__",
@@ -161,6 +164,7 @@ __all__ = [
     "fit_paint",
     "fit_sensor",
     "import_bands",
+    "import_signals",
     "map_paint",
     "open_rig",
     "press_finger",

@@ -15,6 +15,7 @@ from typing import Literal
 from pydantic import ValidationError
 
 import data_schemas
+import finray_calib.exchange
 import finray_calib.lineage
 import rigs
 from data_schemas import (
@@ -298,6 +299,32 @@ def import_bands(folder: PathLike) -> BandSignals:
         bands, digests = import_band_folder(images)
     inputs = {(images / name).as_posix(): digest for name, digest in digests.items()}
     return bands.model_copy(update={"provenance": provenance("finray_calib.import_bands, from Python", inputs)})
+
+
+def import_signals(
+    table: PathLike, *, rig: PathLike | None = None, options: "finray_calib.exchange.SignalOptions | None" = None
+) -> BandSignals:
+    """Read a table (CSV) of band signals that were measured by other means, such as a photodiode behind filters.
+
+    Parameters
+    ----------
+    table
+        One row for each filter; docs/reference/tables-of-band-signals.md lists the columns.
+    rig
+        Rig file with the filters that the table names, and with laser, lamp, white reference and uncertainties.
+    options
+        What the table does not hold, in place of what the rig file states.
+
+    Raises
+    ------
+    ImportFormatError
+        A column or cell is wrong or missing, or no filter passes the laser.
+    """
+    from finray_calib.exchange import import_signal_table
+
+    place = None if rig is None else given_path(rig, "rig")
+    bands, files = import_signal_table(given_path(table, "table"), place, options)
+    return made(bands, "import_signals", files)
 
 
 def fit_paint(

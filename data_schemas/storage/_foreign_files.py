@@ -64,8 +64,8 @@ _TOML_WORDS = re.compile(
 )
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_POINT_NUMBER = re.compile(r"^\s*[+-]?\d*\.\d+\s*$")
-_COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+\s*)$")
+_POINT_NUMBER = re.compile(r"^\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*$")
+_COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+(?:[eE][+-]?\d+)?\s*)$")
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
@@ -493,7 +493,7 @@ def read_csv(
     """
     text = read_text(path, what, error, encoding="utf-8-sig")
     lines = ("\n" if comments and line.startswith("#") else line for line in io.StringIO(text, newline=""))
-    mark = _mark_between_columns(text) if other_marks else ","
+    mark = _mark_between_columns(text, comments) if other_marks else ","
     reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)
     rows: list[tuple[int, list[str]]] = []
     cells_in_all = 0
@@ -541,9 +541,9 @@ def _with_points(
     ]
 
 
-def _mark_between_columns(text: str) -> str:
+def _mark_between_columns(text: str, comments: bool) -> str:
     """Return what separates the columns of a header: a semicolon or tab where it has one and no comma."""
-    header = text.lstrip().partition("\n")[0]
+    header = re.sub(r"\A(?:#.*\n|\s)*+" if comments else r"\A\s*", "", text).partition("\n")[0]
     return next((mark for mark in ";\t" if mark in header and "," not in header), ",")
 
 

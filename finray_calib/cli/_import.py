@@ -1,7 +1,7 @@
 """``finray import``: what other labs and programs captured or computed becomes records.
 
 Whole sets by a recipe, sensor folders of 9DTact, ball presses of Taxim and gs_sdk, images of a Raspberry Pi camera,
-renders of any simulator, folders of band images, and results files of Abaqus.
+renders of any simulator, folders of band images, tables of band signals, and results files of Abaqus.
 """
 
 import argparse
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, warn, wrote
+from finray_calib.cli._radiometry import add_bands_format, add_signals_format
 from finray_calib.cli._run import (
     add_out,
     command_line,
@@ -74,6 +75,7 @@ def add_import(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     add_ball_press_formats(formats)
     add_render_format(formats)
     add_bands_format(formats)
+    add_signals_format(formats)
     add_abaqus_format(formats)
 
 
@@ -157,47 +159,6 @@ _READERS: "dict[str, Callable[[argparse.Namespace], tuple[TactileCapture, Simula
     "raspberry-pi": _raspberry_pi,
     "other": _other,
 }
-BANDS_HELP = "import a folder of wavelength-named TIFF images of a paint"
-BANDS_DESCRIPTION = """\
-Reduce TIFF images that another lab took of a paint through band-pass filters (paint and white reference under
-the lamp, paint and white reference under the laser) to band signals for 'finray fit'. The folder must hold a
-bands.toml that says which image shows what, and what camera, filters and laser were used: see
-docs/how-to/import-band-images.md."""
-
-
-def add_bands_format(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Register the verb."""
-    parser = verbs.add_parser("bands", help=BANDS_HELP, description=BANDS_DESCRIPTION)
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="holds bands.toml and the images")
-    add_out(parser, "PAINT.bands.json")
-    parser.set_defaults(run=run_bands)
-
-
-def run_bands(arguments: argparse.Namespace) -> None:
-    """Import and report."""
-    import_bands(arguments.folder, arguments.out)
-
-
-def import_bands(folder: Path, out: Path | None) -> None:
-    """Reduce a folder of band images, store the band signals and say what is in them."""
-    from data_schemas import RadiometryError, provenance
-    from data_schemas.storage import write_record
-    from finray_calib.exchange import import_band_folder
-
-    if out is not None:
-        require_new(out, ".json")
-    with naming(RadiometryError, folder):
-        bands, digests = import_band_folder(folder)
-    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
-    inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
-    write_record(bands, out, provenance(command_line(), inputs))
-    usable = int(bands.usable().sum())
-    wrote(out, f"{len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
-    give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, region_px=bands.region_pixels,
-         notes=bands.notes)  # fmt: skip
-    suggest_command("finray fit", out)
-    for note in bands.notes:
-        say(f"  note: {note}")
 
 
 TAXIM = """\

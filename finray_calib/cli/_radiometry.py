@@ -1,4 +1,8 @@
-"""``finray radiometry``: turn the frames of a session into band signals with covariance, or characterise a camera."""
+"""``finray radiometry``: turn the frames of a session into band signals with covariance, or characterise a camera.
+
+Band signals also come from elsewhere: ``finray import bands`` reduces images of another lab, ``finray import signals``
+reads a table of numbers.
+"""
 
 import argparse
 from pathlib import Path
@@ -11,6 +15,7 @@ from finray_calib.cli._run import (
     file_name,
     input_digests,
     naming,
+    number_within,
     require_new,
 )
 
@@ -198,3 +203,150 @@ def _report_camera(camera: "CameraCharacterisation", out: Path) -> None:
     for label, texts in (("warning", camera.warnings), ("note", camera.notes)):
         for text in texts:
             say(f"  {label}: {text}")
+
+
+BANDS_HELP = "import a folder of wavelength-named TIFF images of a paint"
+BANDS_DESCRIPTION = """\
+Reduce TIFF images that another lab took of a paint through band-pass filters (paint and white reference under
+the lamp, paint and white reference under the laser) to band signals for 'finray fit'. The folder must hold a
+bands.toml that says which image shows what, and what camera, filters and laser were used: see
+docs/how-to/import-band-images.md."""
+
+
+def add_bands_format(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the verb."""
+    parser = verbs.add_parser("bands", help=BANDS_HELP, description=BANDS_DESCRIPTION)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="holds bands.toml and the images")
+    add_out(parser, "PAINT.bands.json")
+    parser.set_defaults(run=run_bands)
+
+
+def run_bands(arguments: argparse.Namespace) -> None:
+    """Import and report."""
+    import_bands(arguments.folder, arguments.out)
+
+
+def import_bands(folder: Path, out: Path | None) -> None:
+    """Reduce a folder of band images, store the band signals and say what is in them."""
+    from data_schemas import RadiometryError, provenance
+    from data_schemas.storage import write_record
+    from finray_calib.exchange import import_band_folder
+
+    if out is not None:
+        require_new(out, ".json")
+    with naming(RadiometryError, folder):
+        bands, digests = import_band_folder(folder)
+    out = require_new(out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
+    inputs = {(folder / name).as_posix(): digest for name, digest in digests.items()}
+    write_record(bands, out, provenance(command_line(), inputs))
+    usable = int(bands.usable().sum())
+    wrote(out, f"{len(bands.flags)} filters, {usable} usable values over {bands.region_pixels} px")
+    give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, region_px=bands.region_pixels,
+         notes=bands.notes)  # fmt: skip
+    suggest_command("finray fit", out)
+    for note in bands.notes:
+        say(f"  note: {note}")
+
+
+SIGNALS_HELP = "import a table (CSV) of a paint's band signals, measured by other means"
+SIGNALS_DESCRIPTION = """\
+Turn a table of numbers (of a photodiode behind filters, a spectrometer, a paper, another camera) into band signals for
+'finray fit'. One row for each filter, in any unit: the paint and the white reference under the laser and under the
+lamp, each with its standard uncertainty. Columns are separated by commas, tabs or semicolons. --template writes an
+empty table. What the columns mean, and what is not measured without one of them:
+docs/reference/tables-of-band-signals.md."""
+
+
+def add_signals_format(formats: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Register the format."""
+    parser = formats.add_parser("signals", help=SIGNALS_HELP, description=SIGNALS_DESCRIPTION)
+    parser.add_argument("table", type=Path, nargs="?", metavar="TABLE", help="table of band signals (CSV)")
+    parser.add_argument("--rig", type=Path, metavar="RIG", help="rig file (TOML): filters, lights, white reference")
+    parser.add_argument("--template", action="store_true", help="write an empty table with the rig's filters, and stop")
+    parser.add_argument(
+        "--channels", type=int, choices=[1, 3], help="channels of the detector, of --template only (default: 1)"
+    )
+    parser.add_argument("--paint-name", metavar="NAME", help="name of the paint (default: name of the table)")
+    parser.add_argument("--laser-nm", type=float, metavar="NM", help="wavelength of the laser, instead of the rig's")
+    parser.add_argument(
+        "--laser-fwhm-nm", type=float, metavar="NM",
+        help="full width at half maximum of the laser, instead of the rig's (default without a rig: 2 nm)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lamp", metavar="LAMP",
+        help="spectrum of the lamp, instead of the rig's: planck-2856K, or a CSV file (wavelength_nm,power_rel) "
+        "(default without a rig: planck-2856K)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--response", type=Path, metavar="CSV",
+        help="response of the detector: wavelength_nm,response_percent, or of three channels "
+        "wavelength_nm,red_percent,green_percent,blue_percent (default: flat; of three channels that of the rig)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--white-reflectance", type=float, metavar="R", help="reflectance of the white reference, instead of the rig's"
+    )
+    parser.add_argument(
+        "--white-uncertainty-rel", type=float, metavar="U",
+        help="relative standard uncertainty of that reflectance, instead of the rig's",
+    )  # fmt: skip
+    parser.add_argument(
+        "--calibrated", action="store_true",
+        help="the readings are integrals of spectral radiance over each filter's transmission (of a calibrated "
+        "spectrometer), which need no white reference under the lamp",
+    )  # fmt: skip
+    parser.add_argument(
+        "--assume-yield", dest="assumed_yield", type=number_within("a yield", (0.0, 1.0), above=True), metavar="Y",
+        help="assume this yield (emitted over incident energy) where the white reference was not measured under the "
+        "laser, so that only the shape of the emission is measured; the paint's name then says so",
+    )  # fmt: skip
+    add_out(parser, "PAINT.bands.json, with --template signals.csv")
+    parser.set_defaults(run=run_signals)
+
+
+def run_signals(arguments: argparse.Namespace) -> None:
+    """Import and report, or write an empty table."""
+    from data_schemas import ImportFormatError, provenance
+    from data_schemas.storage import write_record
+    from finray_calib.exchange import SignalOptions, import_signal_table
+
+    if arguments.template:
+        _write_template(arguments)
+        return
+    if arguments.channels is not None:
+        raise ImportFormatError("--channels works only with --template, whose rows it sets; leave it out")
+    if arguments.table is None:
+        raise ImportFormatError("TABLE is missing; give the table (CSV), or --template for an empty one")
+    if arguments.out is not None:
+        require_new(arguments.out, ".json")
+    names = ("paint_name", "laser_nm", "laser_fwhm_nm", "lamp", "response", "white_reflectance",
+             "white_uncertainty_rel", "calibrated", "assumed_yield")  # fmt: skip
+    options = SignalOptions(**{name: getattr(arguments, name) for name in names})
+    bands, files = import_signal_table(arguments.table, arguments.rig, options)
+    out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
+    write_record(bands, out, provenance(command_line(), input_digests(files)))
+    usable = int(bands.usable().sum())
+    through = bands.optics.excitation_filter
+    wrote(out, f"{len(bands.flags)} filters, {usable} usable values; filter {through} passes the laser")
+    give(paint_name=bands.paint_name, filters=len(bands.flags), usable_values=usable, excitation_filter=through,
+         notes=bands.notes)  # fmt: skip
+    suggest_command("finray fit", out)
+    for note in bands.notes:
+        say(f"  note: {note}")
+
+
+def _write_template(arguments: argparse.Namespace) -> None:
+    """Write an empty table."""
+    from data_schemas import ImportFormatError
+    from data_schemas.storage import write_bytes
+    from finray_calib.exchange import signal_template
+
+    if arguments.table is not None:
+        raise ImportFormatError(
+            f"{arguments.table}: --template reads no table, but writes an empty one; give its name with --out"
+        )
+    text = signal_template(arguments.rig, arguments.channels or 1)
+    out = require_new(arguments.out or Path("signals.csv"))
+    write_bytes(out, text.encode())
+    wrote(out, "an empty table of band signals: fill it in")
+    give(columns=next(line for line in text.splitlines() if not line.startswith("#")).split(","))
+    suggest_command("finray import signals", out, *([] if arguments.rig is None else ["--rig", arguments.rig]))

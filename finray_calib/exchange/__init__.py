@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     from finray_calib.exchange._capture_recipe import Recipe, read_recipe, recipe_names, with_sizes
     from finray_calib.exchange._capture_request import PlannedView, capture_request
     from finray_calib.exchange._folder_survey import FolderSurvey, survey_folder
-    from finray_calib.exchange._lab_measurements import calibration_yaml, read_board_picture, read_force_csv
+    from finray_calib.exchange._lab_measurements import (
+        calibration_yaml,
+        read_board_picture,
+        read_force_csv,
+        signal_template,
+    )
     from finray_calib.exchange._learning_dataset import (
         dataset_card,
         index_csv,
@@ -66,6 +71,7 @@ if TYPE_CHECKING:
         write_picture_folder,
     )
     from finray_calib.exchange._session_frames import SessionFrames, read_session_frames
+    from finray_calib.exchange._signal_table import SignalOptions, import_signal_table
     from finray_calib.exchange._taxim_export import FEWEST_PRESSES, taxim_files
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -87,6 +93,7 @@ __all__ = [
     "Recipe",
     "RecipeCaptures",
     "SessionFrames",
+    "SignalOptions",
     "as_spectral_distribution",
     "assumed_led",
     "calibration_yaml",
@@ -95,6 +102,7 @@ __all__ = [
     "capture_request",
     "dataset_card",
     "import_band_folder",
+    "import_signal_table",
     "index_csv",
     "index_parquet",
     "inference_data",
@@ -120,6 +128,7 @@ __all__ = [
     "read_tuning",
     "recipe_names",
     "record_dataset",
+    "signal_template",
     "study_dataset",
     "study_netcdf",
     "survey_folder",

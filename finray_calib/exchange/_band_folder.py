@@ -16,18 +16,14 @@ from numpy.typing import NDArray
 
 from data_schemas import (
     BandFolder,
-    BandPassFilter,
     BandSignals,
     CameraSettings,
     CaptureSession,
-    CurveError,
-    FieldError,
     FilterWheelSettings,
     Frame,
     FrameType,
     ImageLayout,
     ImportedCamera,
-    ImportedFilter,
     ImportFormatError,
     LampSettings,
     LightState,
@@ -38,18 +34,22 @@ from data_schemas import (
     Target,
     coverage_notes,
     digest_of_input,
-    half_maximum_nm,
 )
 from data_schemas.storage import (
     assumed_camera_response,
     halogen_lamp,
     read_bytes,
     read_camera_response,
-    read_filter_curve,
     read_light,
-    read_table,
     read_toml,
     tiff_image,
+)
+from finray_calib.exchange._lab_measurements import (
+    curve_inside,
+    filter_curves_of,
+    one_channel,
+    require_line,
+    wheel_of,
 )
 from finray_calib.radiometry import band_signals, monochrome_bands
 
@@ -196,8 +196,6 @@ def _words(image: BandImage) -> str:
 Floats = NDArray[np.float64]
 _BELOW_BLACK_SD = 5.0  # one channel in some million is so far off by chance
 _ROUNDING_DN = 0.5  # by which rounded counts without noise may lie below what they count
-WIDEST_LASER_NM = 60.0
-"""Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
 _SCENE: Mapping[str, tuple[Target, LightState]] = {
     "dark": ("white", "off"),
     "white": ("white", "lamp"),
@@ -378,8 +376,8 @@ def _require_not_below_black(path: Path, counts: Counts, description: BandFolder
 def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -> CaptureSession:
     """Return the folder as the paint session that radiometry reduces; it is never stored."""
     camera = description.camera
-    filter_curves = filter_curves_of(folder, description)
-    wheel = wheel_of(folder, description, filter_curves)
+    filter_curves = filter_curves_of(folder, description.filters)
+    wheel = wheel_of(folder / DESCRIPTION_NAME, description.filters, filter_curves)
     _require_passes_laser(folder, description, wheel)
     response, lamp = response_of(folder, description), lamp_of(folder, description)
     # Constructed, not validated: a rig wants drivers or a simulated bench, and an imported folder has neither.
@@ -422,12 +420,7 @@ def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWh
     chosen = next(one for one in wheel.filters if one.name == description.excitation_filter)
     low_nm, high_nm = chosen.center_nm - 0.5 * chosen.fwhm_nm, chosen.center_nm + 0.5 * chosen.fwhm_nm
     laser = description.laser
-    if laser.fwhm_nm > WIDEST_LASER_NM:
-        raise ImportFormatError(
-            f"{folder / DESCRIPTION_NAME}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
-            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
-            "half maximum in nm"
-        )
+    require_line(folder / DESCRIPTION_NAME, laser)
     if not low_nm - 0.5 * laser.fwhm_nm <= laser.wavelength_nm <= high_nm + 0.5 * laser.fwhm_nm:
         raise ImportFormatError(
             f"{folder / DESCRIPTION_NAME}: excitation_filter '{chosen.name}' passes {low_nm:g} to {high_nm:g} nm, but "
@@ -449,9 +442,6 @@ def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:
     return tuple(notes)
 
 
-MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
-
-
 def require_inside(folder: Path, description: BandFolder) -> None:
     """Refuse curve files outside of the folder, as for images: a folder from elsewhere must not read others.
 
@@ -461,45 +451,7 @@ def require_inside(folder: Path, description: BandFolder) -> None:
         A curve's path is absolute or leads out of the folder.
     """
     for name in named_files(description):
-        if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise CurveError(
-                f"{folder / DESCRIPTION_NAME}: {name!r} points outside the folder; move the curve file "
-                "into the folder of the description"
-            )
-
-
-def filter_curves_of(folder: Path, description: BandFolder) -> dict[str, SpectralCurve]:
-    """Return the measured transmissions of the filters that name one, by the filter's name."""
-    return {given.name: read_filter_curve(folder / given.curve) for given in description.filters if given.curve}
-
-
-def wheel_of(folder: Path, description: BandFolder, curves: Mapping[str, SpectralCurve]) -> FilterWheelSettings:
-    """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
-
-    Raises
-    ------
-    CurveError
-        A curve holds no whole pass band, or two filters are the same.
-    """
-    try:
-        filters = tuple(
-            _filter(slot, given, curves.get(given.name)) for slot, given in enumerate(description.filters, 1)
-        )
-        return FilterWheelSettings(filters=filters)
-    except FieldError as error:
-        fault = error.without_field
-        raise CurveError(
-            f"{folder / DESCRIPTION_NAME}, filters: {fault}; check that all wavelengths are in nm"
-        ) from None
-
-
-def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
-    """Return a filter by its nominal values, or by centre and width of its measured curve."""
-    known = given.model_dump(exclude_none=True)
-    if curve is not None:
-        low_nm, high_nm = half_maximum_nm(curve)
-        known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
-    return BandPassFilter.model_validate({"slot": slot, **known})
+        curve_inside(folder / DESCRIPTION_NAME, name)
 
 
 def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
@@ -511,29 +463,7 @@ def response_of(folder: Path, description: BandFolder) -> tuple[SpectralCurve, S
             if camera.response == "assumed"
             else read_camera_response(folder / camera.response)
         )
-    if camera.response == "assumed":
-        one = SpectralCurve(
-            name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
-        )
-    else:
-        one = _monochrome_response(folder / camera.response)
-    return one, one, one
-
-
-def _monochrome_response(path: Path) -> SpectralCurve:
-    """Read the response of a monochrome camera, 0..1."""
-    header, table = read_table(path)
-    if header != MONOCHROME_COLUMNS:
-        raise CurveError(
-            f"{path}: the header is {','.join(header)[:80]}, but a monochrome response needs "
-            f"{','.join(MONOCHROME_COLUMNS)}"
-        )
-    if (table[:, 1] < 0).any() or not table[:, 1].any():
-        raise CurveError(f"{path}: response_percent must be at least 0 in every row and above 0 in one or more")
-    try:
-        return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
-    except FieldError as error:
-        raise CurveError(f"{path}: {error.without_field}") from None
+    return one_channel(None if camera.response == "assumed" else folder / camera.response)
 
 
 def lamp_of(folder: Path, description: BandFolder) -> SpectralCurve:

@@ -1,18 +1,36 @@
-"""What a lab measures beside its captures: force over displacement, and pictures of a calibration board.
+"""What a lab measures beside its captures: forces, band signals, filters, detectors, pictures of a calibration board.
 
-The CSV of a force has comment lines that start with #, one header row, and units in its names. Pictures of a board are
-read as grey levels; the calibration made of them leaves as OpenCV's programs read it.
+The CSV of a force has comment lines that start with #, one header row, and units in its names; that of band signals may
+have any marks between its columns, and an empty one can be had. Pictures of a board are read as grey levels; the
+calibration made of them leaves as OpenCV's programs read it.
 """
 
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import BadFrameError, CameraCalibration, CompareError, CurveError, ImportFormatError
-from data_schemas.storage import read_table, tiff_image
+from data_schemas import (
+    BadFrameError,
+    BandPassFilter,
+    CameraCalibration,
+    CompareError,
+    CurveError,
+    FieldError,
+    FilterWheelSettings,
+    ImportedFilter,
+    ImportFormatError,
+    LaserSettings,
+    RigFile,
+    SpectralCurve,
+    half_maximum_nm,
+)
+from data_schemas.storage import finite_number, read_csv, read_filter_curve, read_table, read_toml, tiff_image
 from finray_calib.exchange._set_files import TIFF_STARTS
 from finray_calib.force import MeasuredForce
 from rigs.cameras import decoded_picture, read_content, read_raw
@@ -138,3 +156,288 @@ def _decoded(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
             "or 16 bits"
         )
     return np.asarray(image)
+
+
+Floats = NDArray[np.float64]
+CHANNELS: Final = ("red", "green", "blue")
+READINGS: Final = ("paint_laser", "white_laser", "paint_lamp", "white_lamp", "dark")
+RATIOS: Final = ("fluorescence", "reflectance")
+FILTER_DATA: Final = (
+    "center_nm",
+    "fwhm_nm",
+    "center_uncertainty_nm",
+    "fwhm_uncertainty_nm",
+    "blocking_od",
+    "blocking_uncertainty_od",
+)
+_TEXTS: Final = ("filter", "channel", "curve")
+_VALUES: Final = (*READINGS, *RATIOS)
+_COLUMNS: Final = (*_TEXTS, *FILTER_DATA, *(f"{name}{end}" for name in _VALUES for end in ("", "_sd")), "laser_weight")
+
+# Beyond any unit of a detector; the fourth power of their ratio is still a number.
+_SMALLEST, _LARGEST = 1e-18, 1e18
+
+
+class SignalRow(NamedTuple):
+    """One row of a table of band signals: its line, its texts, and its numbers by column, without empty cells."""
+
+    line: int
+    filter_name: str
+    channel: str
+    curve: str
+    numbers: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SignalTable:
+    """A table of band signals whose cells were checked."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: tuple[SignalRow, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels; one without a name where the table has no column of them."""
+        return CHANNELS if "channel" in self.header else ("",)
+
+    @property
+    def describes_filters(self) -> bool:
+        """Whether the table itself says what its filters are."""
+        return bool({"curve", "center_nm"} & {*self.header})
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the filters in the order of the rows."""
+        return list(dict.fromkeys(row.filter_name for row in self.rows))
+
+    def has(self, name: str) -> bool:
+        """Whether any row has a number in this column."""
+        return any(name in row.numbers for row in self.rows)
+
+    def column(self, name: str, filters: Sequence[BandPassFilter]) -> Floats:
+        """Return the numbers of a column by filter and channel, (B, C); NaN where there is none."""
+        found = {(row.filter_name, row.channel): row.numbers.get(name, np.nan) for row in self.rows}
+        return np.array([[found.get((band.name, channel), np.nan) for channel in self.channels] for band in filters])
+
+
+def signal_template(rig: Path | None = None, channels: int = 1) -> str:
+    """Return an empty table (CSV) with the filters of a rig file, or with columns that describe filters.
+
+    Parameters
+    ----------
+    rig
+        Rig file.
+    channels
+        1 for a photodiode or a monochrome camera, 3 for a colour camera.
+    """
+    filters = () if rig is None else read_toml(rig, RigFile).filter_wheel.filters
+    texts = ["filter", *(["channel"] if channels > 1 else []), *([] if filters else ["center_nm", "fwhm_nm"])]
+    columns = [*texts, *(f"{name}{end}" for name in READINGS for end in ("", "_sd"))]
+    colours = [[name] for name in CHANNELS] if channels > 1 else [[]]
+    cells = [[band.name, *colour] for band in filters for colour in colours]
+    rows = [",".join([*map(_quoted, row), *[""] * (len(columns) - len(row))]) for row in cells]
+    return "".join(f"{line}\n" for line in (*_TEMPLATE_LINES, ",".join(columns), *rows))
+
+
+# No comma, semicolon or quote: a spreadsheet that saves the table again leaves such lines as they are.
+_TEMPLATE_LINES: Final = (
+    "# Band signals of one paint: one row for each filter. Any unit that is the same in all rows.",
+    "# paint_laser: paint under the laser. white_laser: white reference under the laser (only at the laser's filter).",
+    "# paint_lamp and white_lamp: paint and white reference under the lamp. dark: reading without light.",
+    "# Columns that end in _sd hold the standard uncertainty in the same unit. Leave empty what was not measured.",
+)
+
+
+def _quoted(text: str) -> str:
+    """Return a cell of a CSV file."""
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"' if any(mark in text for mark in ',;"\t') else text
+
+
+def read_signal_cells(path: Path) -> SignalTable:
+    """Read the cells and refuse what is no number, and columns and rows that do not belong together."""
+    what = "a CSV file of band signals"
+    names, lines = read_csv(path, what, ImportFormatError, True, True, True, _TEXTS)
+    # a byte order mark that came under a comment
+    header = tuple(name.removeprefix("\ufeff").lower() for name in names)
+    _check_columns(path, header)
+    rows = tuple(_row(path, header, line, cells) for line, cells in lines)
+    if not rows:
+        raise ImportFormatError(f"{path}: has no row below its header; give one row for each filter")
+    needed = "fluorescence" if "fluorescence" in header else "paint_laser"
+    if not any(needed in row.numbers for row in rows):
+        raise ImportFormatError(f"{path}: the column '{needed}' is empty in all rows; fill in what was measured")
+    seen: dict[tuple[str, str], int] = {}
+    for row in rows:
+        earlier = seen.setdefault((row.filter_name, row.channel), row.line)
+        if earlier != row.line:
+            of_channel = f", channel '{row.channel}'," if row.channel else ""
+            raise ImportFormatError(
+                f"{path}, line {row.line}: filter '{row.filter_name}'{of_channel} already stands in line {earlier}; "
+                "give the mean of repeated readings in one row, with the standard uncertainty of the mean"
+            )
+    return SignalTable(path, header, rows)
+
+
+def _check_columns(path: Path, header: Sequence[str]) -> None:
+    """Refuse columns that are unknown or missing, and two that say the same."""
+    readings = ", ".join((*READINGS, *RATIOS))
+    for name in header:
+        if name not in _COLUMNS:
+            near = difflib.get_close_matches(name, _COLUMNS, 1, cutoff=0.6)
+            hint = f"did you mean '{near[0]}'?" if near else "rename or remove the column;"
+            raise ImportFormatError(
+                f"{path}: column '{name[:60]}' is not supported; {hint} Supported are {', '.join(_TEXTS)}, "
+                f"{', '.join(FILTER_DATA)}, laser_weight, and {readings}, each with its _sd"
+            )
+    if len(set(header)) < len(header):
+        raise ImportFormatError(f"{path}: a column appears twice; remove one")
+    if "filter" not in header:
+        raise ImportFormatError(f"{path}: the column 'filter' is missing; give the name of the filter in each row")
+    for one, other in (("paint_laser", "fluorescence"), ("paint_lamp", "reflectance")):
+        if one in header and other in header:
+            raise ImportFormatError(
+                f"{path}: has both columns '{one}' and '{other}', which could contradict each other; remove one"
+            )
+    if not {"paint_laser", "fluorescence"} & {*header}:
+        raise ImportFormatError(
+            f"{path}: the column 'paint_laser' (paint under the laser) is missing; add it, or 'fluorescence' where the "
+            "values are already referred to the white reference"
+        )
+    lone = next((n for n in header if n in _VALUES and f"{n}_sd" not in header), None)
+    if lone is not None:
+        raise ImportFormatError(
+            f"{path}: the column '{lone}_sd' is missing; add the standard uncertainty of '{lone}', in the same unit"
+        )
+
+
+def _row(path: Path, header: Sequence[str], line: int, cells: Sequence[str]) -> SignalRow:
+    """Check the cells of one row."""
+    by_name = {name: cell.strip() for name, cell in zip(header, cells, strict=False)}
+    if not by_name.get("filter"):
+        raise ImportFormatError(f"{path}, line {line}: the column 'filter' is empty; give the filter's name")
+    channel = by_name.get("channel", "").lower()
+    if "channel" in header and channel not in CHANNELS:
+        raise ImportFormatError(
+            f"{path}, line {line}, column 'channel': is '{channel[:40]}', but must be red, green or blue; remove the "
+            "column if the detector has one channel"
+        )
+    numbers = {name: _number(path, line, name, cell) for name, cell in by_name.items() if cell and name not in _TEXTS}
+    for name in _VALUES:
+        sd = numbers.get(f"{name}_sd")
+        if name in numbers and sd is None:
+            raise ImportFormatError(
+                f"{path}, line {line}: has a value in the column '{name}', but none in '{name}_sd'; give its standard "
+                "uncertainty, in the same unit"
+            )
+        if name in numbers and sd == 0 and name in ("paint_laser", "paint_lamp", *RATIOS):
+            raise ImportFormatError(
+                f"{path}, line {line}, column '{name}_sd': is 0, but must be above 0, because every reading has noise; "
+                f"give the standard uncertainty of '{name}', in the same unit"
+            )
+    return SignalRow(line, by_name["filter"], channel, by_name.get("curve", ""), numbers)
+
+
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    """Return the number of a cell."""
+    where = f"{path}, line {line}, column '{name}'"
+    try:
+        value = finite_number(cell)
+    except ValueError as error:
+        raise ImportFormatError(
+            f"{where}: {error}; write a number such as 0.0125 or 1.25e-2, or leave the cell empty if nothing was "
+            "measured"
+        ) from None
+    if name.endswith(("_sd", "_weight")) and value < 0:
+        raise ImportFormatError(f"{where}: is {value:g}, but must be at least 0; correct the cell")
+    if value != 0 and not _SMALLEST <= abs(value) <= _LARGEST:
+        raise ImportFormatError(
+            f"{where}: is {value:g}, but only 0 and sizes from {_SMALLEST:g} to {_LARGEST:g} are supported; choose "
+            "another unit"
+        )
+    return value
+
+
+WIDEST_LASER_NM = 60.0
+"""Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
+MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
+
+
+def require_line(place: Path, laser: LaserSettings) -> None:
+    """Refuse a source that is no line; the error names the file `place`."""
+    if laser.fwhm_nm > WIDEST_LASER_NM:
+        raise ImportFormatError(
+            f"{place}: laser.fwhm_nm is {laser.fwhm_nm:g} nm, but the excitation must be one line "
+            f"of at most {WIDEST_LASER_NM:g} nm (a laser has 1 to 5 nm, an LED 15 to 40 nm); give its full width at "
+            "half maximum in nm"
+        )
+
+
+def curve_inside(place: Path, name: str) -> Path:
+    """Return the path of a curve that the file `place` names, if it lies in or below the folder of that file."""
+    if not (place.parent / name).resolve().is_relative_to(place.parent.resolve()):
+        raise CurveError(
+            f"{place}: {name!r} points outside the folder; move the curve file into the folder of the description"
+        )
+    return place.parent / name
+
+
+def filter_curves_of(folder: Path, filters: Iterable[ImportedFilter]) -> dict[str, SpectralCurve]:
+    """Return the measured transmissions of the filters that name one, by the filter's name."""
+    return {given.name: read_filter_curve(folder / given.curve) for given in filters if given.curve}
+
+
+def wheel_of(
+    place: Path, filters: Iterable[ImportedFilter], curves: Mapping[str, SpectralCurve]
+) -> FilterWheelSettings:
+    """Return the filters, with centre and width of their measured curves where they have one, as those of a wheel.
+
+    Raises
+    ------
+    CurveError
+        A curve holds no whole pass band, or two filters are the same; the error names the file `place`.
+    """
+    try:
+        return FilterWheelSettings(
+            filters=tuple(_filter(slot, given, curves.get(given.name)) for slot, given in enumerate(filters, 1))
+        )
+    except FieldError as error:
+        fault = error.without_field
+        raise CurveError(f"{place}, filters: {fault}; check that all wavelengths are in nm") from None
+
+
+def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> BandPassFilter:
+    """Return a filter by its nominal values, or by centre and width of its measured curve."""
+    known = given.model_dump(exclude_none=True)
+    if curve is not None:
+        low_nm, high_nm = half_maximum_nm(curve)
+        known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
+    return BandPassFilter.model_validate({"slot": slot, **known})
+
+
+def one_channel(path: Path | None) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
+    """Return the response of a detector of one channel three times: that of a CSV file, or a flat one."""
+    if path is not None:
+        one = _monochrome_response(path)
+    else:
+        one = SpectralCurve(
+            name="monochrome", wavelength_nm=np.array([380.0, 780.0]), values=np.ones(2), source="assumed flat"
+        )
+    return one, one, one
+
+
+def _monochrome_response(path: Path) -> SpectralCurve:
+    """Read the response of a monochrome camera, 0..1."""
+    header, table = read_table(path)
+    if header != MONOCHROME_COLUMNS:
+        raise CurveError(
+            f"{path}: the header is {','.join(header)[:80]}, but a monochrome response needs "
+            f"{','.join(MONOCHROME_COLUMNS)}"
+        )
+    if (table[:, 1] < 0).any() or not table[:, 1].any():
+        raise CurveError(f"{path}: response_percent must be at least 0 in every row and above 0 in one or more")
+    try:
+        return SpectralCurve(name="monochrome", wavelength_nm=table[:, 0], values=table[:, 1] / 100, source=path.name)
+    except FieldError as error:
+        raise CurveError(f"{path}: {error.without_field}") from None

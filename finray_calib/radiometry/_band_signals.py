@@ -40,7 +40,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import BandSignals, CaptureSession, Flag, Optics, TiltRatio
+from data_schemas import BandSignals, CaptureSession, Flag, Optics, TiltRatio, WhiteReference
 from finray_calib.radiometry._session_steps import (
     BleachingTrend,
     SessionSteps,
@@ -413,3 +413,127 @@ def monochrome_bands(bands: BandSignals) -> BandSignals:
 def _worst_flag(row: tuple[Flag, Flag, Flag]) -> Flag:
     """Return the worst of the flags of a band."""
     return "saturated" if "saturated" in row else "weak" if "weak" in row else "ok"
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Readings of any detector by filter and channel, (B, C), without their dark, in any unit.
+
+    Attributes
+    ----------
+    value, sd
+        Paint and white reference under laser and lamp, and their standard uncertainties, by the names "paint_laser",
+        "white_laser", "paint_lamp" and "white_lamp"; NaN where nothing was measured.
+    dark_sd
+        Standard uncertainty of the dark that the readings of a filter and channel share.
+    white_is_good
+        Whether the white under the lamp is bright enough to divide by.
+    white_is_computed
+        Whether it follows from known curves, and so holds no dark.
+    """
+
+    value: dict[str, Floats]
+    sd: dict[str, Floats]
+    dark_sd: Floats
+    white_is_good: NDArray[np.bool_]
+    white_is_computed: bool = False
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Whether there is a ratio of paint under the laser to white under the lamp."""
+        return self.white_is_good & np.isfinite(self.value["paint_laser"])
+
+    @property
+    def white(self) -> Floats:
+        """White under the lamp; 1 where it is not good."""
+        return np.where(self.white_is_good, self.value["white_lamp"], 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LaserLevel:
+    """Level V of the laser, and the weights (C,) of the channels in it, sum 1; measured or assumed."""
+
+    weights: Floats
+    value: float
+    is_measured: bool = False
+
+
+# Readings that are stated as exact would otherwise have all the weight.
+_LEAST_RATIO_SD_REL = 1e-6
+
+
+def level_of_readings(readings: Readings, excitation: int) -> LaserLevel | None:
+    """Return the level of the laser with inverse-variance weights of the channels; None where no white was read.
+
+    Parameters
+    ----------
+    readings
+        Readings without their dark.
+    excitation
+        Index of the filter that passes the laser.
+    """
+    v, w = np.nan_to_num(readings.value["white_laser"][excitation]), readings.white[excitation]
+    good = readings.white_is_good[excitation] & (v > 0)
+    if not good.any():
+        return None
+    v_sd, w_sd = (readings.sd[name][excitation] for name in ("white_laser", "white_lamp"))
+    v = np.where(good, v, 1.0)
+    sd_rel = np.maximum(np.hypot(v_sd / v, w_sd / w), _LEAST_RATIO_SD_REL)
+    weight = np.where(good, (w / v / sd_rel) ** 2, 0.0)
+    weight /= weight.sum()
+    return LaserLevel(weight, float(weight @ (v / w)), True)
+
+
+def fluorescence_of_readings(
+    readings: Readings, excitation: int, level: LaserLevel, white: WhiteReference
+) -> tuple[Floats, Floats]:
+    """Return y (B, C) and its covariance (B C, B C) by first-order propagation; 0 where not usable.
+
+    Parameters
+    ----------
+    readings, excitation
+        See :func:`level_of_readings`.
+    level
+        Level of the laser; an assumed one has no noise, and is uncertain by the white reference.
+    white
+        White reference, whose uncertainty is common to all values.
+    """
+    usable, sd = readings.usable, readings.sd
+    w, w_e = readings.white.ravel(), readings.white[excitation]
+    f, v = np.where(usable, readings.value["paint_laser"], 0.0).ravel(), readings.value["white_laser"][excitation]
+    y = f / w / level.value
+    to_f, to_w, to_v = np.diag(1 / w / level.value), np.diag(-y / w), np.zeros((y.size, w_e.size))
+    block = slice(w_e.size * excitation, w_e.size * (excitation + 1))
+    if level.is_measured:
+        to_v = np.outer(-y / level.value, level.weights / w_e)
+        to_w[:, block] += np.outer(y / level.value, level.weights * np.nan_to_num(v) / w_e**2)
+    to_dark = -to_f - (0.0 if readings.white_is_computed else to_w)
+    to_dark[:, block] -= to_v
+    shares = (
+        to_f * sd["paint_laser"].ravel(),
+        to_w * sd["white_lamp"].ravel(),
+        to_v * sd["white_laser"][excitation],
+        to_dark * readings.dark_sd.ravel(),
+        white.uncertainty_rel * y[:, None],
+    )
+    return y.reshape(usable.shape), np.sum([part @ part.T for part in shares], axis=0)
+
+
+def reflectance_of_readings(readings: Readings, white: WhiteReference) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return the total radiance factor (B, C), its covariance (B C, B C), and where it was measured; 0 elsewhere.
+
+    Parameters
+    ----------
+    readings
+        Readings without their dark.
+    white
+        White reference, whose uncertainty is common to all values.
+    """
+    usable, sd = readings.white_is_good & np.isfinite(readings.value["paint_lamp"]), readings.sd
+    w, s = readings.white.ravel(), np.where(usable, readings.value["paint_lamp"], 0.0).ravel()
+    rho = white.reflectance * s / w
+    # a dark that is too large lowers paint and white by as much
+    parts = (white.reflectance * sd["paint_lamp"].ravel(), rho * sd["white_lamp"].ravel(),
+             (rho - white.reflectance) * readings.dark_sd.ravel())  # fmt: skip
+    own = np.sum([(part / w) ** 2 for part in parts], axis=0)
+    return rho.reshape(usable.shape), np.diag(own) + white.uncertainty_rel**2 * np.outer(rho, rho), usable

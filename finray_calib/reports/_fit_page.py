@@ -119,8 +119,12 @@ def _lead(paint: FittedPaint) -> str:
     fit = paint.fit
     return (
         f"Emission spectrum of this paint for light at {fit.optics.laser.wavelength_nm:g} nm, inferred from "
-        f"{fit.usable_values} usable signals of {len(fit.optics.filters)} filters and three camera channels over "
-        f"{paint.bands.region_pixels} pixels."
+        f"{fit.usable_values} usable signals of {len(fit.optics.filters)} filters"
+        + (
+            ", imported from a table."
+            if paint.bands.region_pixels == 1
+            else f" and three camera channels over {paint.bands.region_pixels} pixels."
+        )
     )
 
 

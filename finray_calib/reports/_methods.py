@@ -83,11 +83,17 @@ def fit_methods(paint: FittedPaint) -> tuple[str, ...]:
     optics = fit.optics
     centres = ", ".join(centre_text(band.center_nm) for band in optics.filters)
     white, stated = optics.white_reference, optics.band_uncertainty
+    is_table = bands.region_pixels == 1  # a region has four or more: readings of another detector
+    taken, averaged = (
+        ("measured by other means", "The readings were imported from a table")
+        if is_table
+        else ("photographed raw", f"Dark-subtracted frames were averaged over {bands.region_pixels} pixels")
+    )
     measured = (
-        f"The sample \u201c{fit.paint_name}\u201d was photographed raw under a laser at "
+        f"The sample \u201c{fit.paint_name}\u201d was {taken} under a laser at "
         f"{optics.laser.wavelength_nm:g} nm through {len(optics.filters)} band-pass filters (centres {centres} nm), "
         f"beside a white reference of reflectance {white.reflectance:g} (standard uncertainty "
-        f"{percent(white.uncertainty_rel)}). Dark-subtracted frames were averaged over {bands.region_pixels} pixels; "
+        f"{percent(white.uncertainty_rel)}). {averaged}; "
         f"{fit.usable_values} of {bands.usable().size} ratios of filter and channel to the white reference entered the "
         f"fit, with relative standard uncertainties of {percent(stated.calibration_rel)} for the calibration of each "
         f"filter, {percent(stated.response_rel)} for each channel's response and "

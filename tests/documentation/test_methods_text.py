@@ -50,6 +50,13 @@ def test_the_fit_tells_what_its_record_holds():
     assert "Gilks" not in text
 
 
+def test_readings_of_a_table_were_not_photographed():
+    text = " ".join(fit_methods(type(RED)(RED.bands.model_copy(update={"region_pixels": 1}), RED.fit)))
+    assert "was measured by other means under a laser at 450 nm" in text
+    assert "The readings were imported from a table; 15 of 24 ratios" in text
+    assert "photographed" not in text
+
+
 def test_draws_that_are_not_trusted_are_not_praised():
     found = RED.fit.diagnostics.model_copy(update={"trusted": False, "chain": None})
     bad = type(RED)(RED.bands, RED.fit.model_copy(update={"diagnostics": found}))

@@ -251,6 +251,13 @@ def _bands_folder(folder: Path) -> None:
     write_folder(folder / "b", "Bayer RGGB")
 
 
+def _signals(folder: Path) -> None:
+    from tests.exchange.signal_tables import CENTERS_NM, measured, readings, table
+
+    described = {"center_nm": np.array(CENTERS_NM), "fwhm_nm": np.full(len(CENTERS_NM), 10.0)}
+    (folder / "s.csv").write_text(table(described | measured(readings())))
+
+
 def _nine_dtact(folder: Path) -> None:
     shutil.copytree(SHARED / "tactile" / "9dtact" / "sensor_1", folder / "n")
 
@@ -451,6 +458,9 @@ READERS: tuple[Reader, ...] = (
         _bands_folder,
         ("b/bands.toml", "b/*.tif", "b/white/*"),
         _command("import bands {f}/b --out {f}/out.json"),
+    ),
+    Reader(
+        "band signals (CSV)", _signals, ("s.csv",), _command("import signals {f}/s.csv --laser-nm 450 --out {f}/o.json")
     ),
     Reader(
         "9DTact folder", _nine_dtact, ("n/**/*.npy", "n/**/*.png"), _command("import 9dtact {f}/n --out {f}/out.json")

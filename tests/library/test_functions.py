@@ -228,6 +228,18 @@ def test_band_images_of_others_are_imported(tmp_path):
         finray.import_bands(tmp_path)
 
 
+def test_a_table_of_band_signals_is_imported(tmp_path):
+    rows = "".join(f"{nm},{nm},10,{f},0.01,2,0.01,3,0.01\n" for nm, f in ((450, 1), (560, 0.2), (600, 0.5), (640, 0.1)))
+    header = "filter,center_nm,fwhm_nm,paint_laser,paint_laser_sd,white_lamp,white_lamp_sd,white_laser,white_laser_sd\n"
+    (tmp_path / "red.csv").write_text(header + rows)
+    bands = finray.import_signals(tmp_path / "red.csv", options=finray.SignalOptions(laser_nm=450.0))
+    # (F / W) / (V / W_e) with one white reading for all filters
+    np.testing.assert_allclose(bands.fluorescence[:, 1], [1 / 3, 0.2 / 3, 0.5 / 3, 0.1 / 3])
+    assert f"{tmp_path}/red.csv" in bands.provenance.input_sha256
+    with pytest.raises(ImportFormatError, match="the wavelength of the laser is not known"):
+        finray.import_signals(tmp_path / "red.csv")
+
+
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True, 2**70])
 def test_a_seed_that_no_generator_takes_is_refused_before_the_work(lab, paint, seed):
     calls = (
@@ -461,8 +473,8 @@ def test_angles_that_do_not_increase_are_refused(lab, paint, angles_deg):
 
 @pytest.mark.parametrize(
     "call",
-    [finray.finger_design, finray.read_record, finray.trace_record, finray.import_bands, finray.reduce_session,
-     finray.render_sensor],
+    [finray.finger_design, finray.read_record, finray.trace_record, finray.import_bands, finray.import_signals,
+     finray.reduce_session, finray.render_sensor],
 )  # fmt: skip
 def test_what_is_no_path_is_refused(call):
     with pytest.raises(RecordError, match="must be the path of a file or folder, got type NoneType"):
