@@ -257,6 +257,9 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
 
     session = _session(folder, description, tuple(frames))
     bands = band_signals(session, read)
+    if black:  # the frames that stand in for darks differ by the declared uncertainty, which is no drift that was seen
+        notes = tuple(note for note in bands.notes if not note.startswith("largest drift of the dark level"))
+        bands = bands.model_copy(update={"notes": notes})
     used = [*(path.relative_to(folder).as_posix() for path in paths.values()), *named_files(description)]
     digests = {name: digest_of_input(folder / name) for name in used}
     return (monochrome_bands(bands) if description.camera.layout == "monochrome" else bands), digests
@@ -385,7 +388,8 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
         filter_curves=filter_curves,
         lamp=lamp,
         frames=frames,
-        notes=_notes(folder, description) + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
+        notes=_notes(folder, description, max(frame.exposure_s for frame in frames))
+        + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
     )
 
 
@@ -408,13 +412,14 @@ def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWh
         )
 
 
-def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:
+def _notes(folder: Path, description: BandFolder, longest_s: float) -> tuple[str, ...]:
     """Say what a reader of the signals must know of their origin."""
     notes = [f"imported from {folder.resolve().name} ({description.camera.layout}); laser dose unknown"]
     if not description.darks:
         notes.append(
             f"no dark frames: black level {description.camera.black_level_dn:g} DN with standard uncertainty "
-            f"{description.camera.black_level_uncertainty_dn:g} DN, as declared"
+            f"{description.camera.black_level_uncertainty_dn:g} DN, as declared; the dark current of exposures of up "
+            f"to {longest_s:g} s is not subtracted"
         )
     if description.camera.response == "assumed":
         notes.append("the camera response is assumed")
