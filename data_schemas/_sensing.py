@@ -213,7 +213,8 @@ class SensedPress(Record):
     """What a normal map senses in one capture: depth, normals and contact, one value per pixel of the colour image.
 
     Depth is positive into the gel and counts from the median over the frame of the picture. The contact is where it
-    exceeds ``contact_depth_mm``. Normals have components along columns, along rows and out of the gel.
+    exceeds ``contact_depth_mm``. Normals have components along columns, along rows and towards the camera, which sees a
+    dent as a bump.
     """
 
     written_by: ClassVar[str] = "'finray sense run'"

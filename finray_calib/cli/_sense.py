@@ -432,6 +432,11 @@ def _add_run(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> Non
         help="smallest depth in mm at which a pixel counts as touched (default: a tenth of the largest depth, but at "
              "least 3 sd)",
     )  # fmt: skip
+    parser.add_argument(
+        "--mirrored", action="store_true",
+        help="the camera sees the gel in one mirror, as in a GelSight Fin Ray finger; the mesh, whose y then runs "
+             "against the rows, is otherwise the mirror image of such a gel",
+    )  # fmt: skip
     add_out(parser, "CAPTURE.sensed.json")
     parser.set_defaults(run=run_sense)
 
@@ -454,7 +459,8 @@ def run_sense(arguments: argparse.Namespace) -> None:
     origin = provenance(command_line(), input_digests([arguments.map, place]))
     with ProductSet(out) as products:
         products.add(picture, sensed_png(sensed, capture))
-        products.add(mesh, stl_bytes(*surface_triangles(sensed), "gel surface, mm, from finray sense"))
+        surface = surface_triangles(sensed, arguments.mirrored)
+        products.add(mesh, stl_bytes(*surface, "gel surface, mm, from finray sense"))
         write_record(sensed, out, origin, products)
     _report_sensed(sensed)
     wrote(out, "what was sensed")

@@ -322,12 +322,12 @@ def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: Tactile
     if not told.any():
         return []
     channel = int(np.argmax(np.where(told, size, 0.0)))
-    factor = float(np.exp(gain.log_gain[channel]))
+    captured, simulated, factor = np.exp([gain.log_captured, gain.log_simulated, gain.log_gain])[:, channel]
     listed = ", ".join(f"{g:.3f} +- {u:.3f}" for g, u in zip(np.exp(gain.log_gain), gain.u, strict=True))
     text = (
-        f"far from the contact (beyond {FAR:g} half-widths) the contact image of {capture.name} is {factor:.3f} times "
-        f"as bright as its no-contact image in {_CHANNELS[channel]}, beyond what the render expects (red, green, "
-        f"blue: {listed}): "
+        f"far from the contact (beyond {FAR:g} half-widths) the contact image of {capture.name} is {captured:.3f} "
+        f"times as bright as its no-contact image in {_CHANNELS[channel]}, but that of the render is "
+        f"{simulated:.3f} times as bright (quotient in red, green, blue: {listed}): "
     )
     stops = float(np.log2(factor))
     if abs(stops - round(stops)) < 0.05 and abs(round(stops)) >= 2:
@@ -338,7 +338,8 @@ def _gain_findings(nuisances: Nuisances, repeat: Floats | None, capture: Tactile
         text += "it was not taken out, because it may be an error of the render; "
     elif (gain.uneven > size)[channel] and size[channel] <= np.log1p(REFUSED_GAIN_REL):
         text += f"across the picture it changes by {100 * gain.uneven[channel]:.1f} %, so it is not a gain; "
-    text += "capture both with the same exposure, gain, white balance and bit depth"
+    changed = "render" if abs(np.log(simulated)) > abs(np.log(captured)) else "capture"
+    text += f"{changed} both images with the same exposure, gain, white balance and bit depth"
     return [Finding("refuse" if gain.is_refused else "warn", "exposure", text)]
 
 

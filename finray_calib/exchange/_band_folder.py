@@ -262,7 +262,10 @@ def import_band_folder(folder: Path) -> tuple[BandSignals, dict[str, str]]:
         bands = band_signals(session, read)
     except RadiometryError as error:
         raise RadiometryError(_of_the_folder(str(error), names)) from None
-    bands = bands.model_copy(update={"notes": tuple(_of_the_folder(note, names) for note in bands.notes)})
+    notes = [_of_the_folder(note, names) for note in bands.notes]
+    if black:  # the frames that stand in for darks differ by the declared uncertainty, which is no drift that was seen
+        notes = [note for note in notes if not note.startswith("largest drift of the dark level")]
+    bands = bands.model_copy(update={"notes": tuple(notes)})
     used = [*names.values(), *named_files(description)]
     digests = {name: digest_of_input(folder / name) for name in used}
     return (monochrome_bands(bands) if description.camera.layout == "monochrome" else bands), digests
@@ -411,7 +414,8 @@ def _session(folder: Path, description: BandFolder, frames: tuple[Frame, ...]) -
         filter_curves=filter_curves,
         lamp=lamp,
         frames=frames,
-        notes=_notes(folder, description) + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
+        notes=_notes(folder, description, max(frame.exposure_s for frame in frames))
+        + coverage_notes(wheel.filters, filter_curves, (*response, lamp)),
     )
 
 
@@ -429,13 +433,14 @@ def _require_passes_laser(folder: Path, description: BandFolder, wheel: FilterWh
         )
 
 
-def _notes(folder: Path, description: BandFolder) -> tuple[str, ...]:
+def _notes(folder: Path, description: BandFolder, longest_s: float) -> tuple[str, ...]:
     """Say what a reader of the signals must know of their origin."""
     notes = [f"imported from {folder.resolve().name} ({description.camera.layout}); laser dose unknown"]
     if not description.darks:
         notes.append(
             f"no dark frames: black level {description.camera.black_level_dn:g} DN with standard uncertainty "
-            f"{description.camera.black_level_uncertainty_dn:g} DN, as declared"
+            f"{description.camera.black_level_uncertainty_dn:g} DN, as declared; the dark current of exposures of up "
+            f"to {longest_s:g} s is not subtracted"
         )
     if description.camera.response == "assumed":
         notes.append("the camera response is assumed")

@@ -651,19 +651,20 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
     return tuple(notes)
 
 
-def surface_triangles(sensed: SensedPress) -> tuple[NDArray[np.int64], Floats]:
+def surface_triangles(sensed: SensedPress, mirrored: bool = False) -> tuple[NDArray[np.int64], Floats]:
     """Return the surface of the gel as triangles (m, 3) and vertices (n, 3) in mm.
 
-    x along columns, y against rows, z out of the gel, which a dent makes negative; two triangles for each square of
-    four pixels, counter-clockwise seen from outside.
+    x along columns, y along rows, z out of the gel, which a dent makes negative: right-handed for a camera that looks
+    at the gel. `mirrored`: it looks into one mirror, and y is against rows. Counter-clockwise seen from outside.
     """
     rows, columns = sensed.depth_mm.shape
     row, column = np.mgrid[:rows, :columns].astype(np.float64) * sensed.mm_per_px
-    vertices = np.stack([column, -row, -sensed.depth_mm.astype(np.float64)], axis=-1).reshape(-1, 3)
+    y = -row if mirrored else row
+    vertices = np.stack([column, y, -sensed.depth_mm.astype(np.float64)], axis=-1).reshape(-1, 3)
     number = np.arange(rows * columns, dtype=np.int64).reshape(rows, columns)
     top_left, top_right, low_left, low_right = (
         number[:-1, :-1].ravel(), number[:-1, 1:].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel()
     )  # fmt: skip
     first = np.stack([top_left, low_left, low_right], axis=-1)
     second = np.stack([top_left, low_right, top_right], axis=-1)
-    return np.concatenate([first, second]), vertices
+    return np.concatenate([first, second])[:, :: 1 if mirrored else -1], vertices

@@ -138,6 +138,19 @@ def test_spoilt_pairs_are_found_with_their_evidence(case):
         require_no_mismatch(findings)
 
 
+def test_a_gain_between_the_images_of_the_render_is_not_called_one_of_the_capture():
+    rng = np.random.default_rng(0)
+    press = coloured_press(rng)
+    capture = capture_of(press, rng)
+    (finding,) = find_mismatches(press.model_copy(update={"contact": 1.1 * press.contact}), capture)
+    assert (finding.severity, finding.about) == ("warn", "exposure")
+    assert re.search(
+        r"the contact image of capture is (0\.99\d|1\.00\d) times as bright as its no-contact image in \w+, but that "
+        r"of the render is 1\.(09|10)\d times as bright .*; render both images with the same exposure",
+        finding.text,
+    )
+
+
 def test_a_grey_sensor_does_not_show_its_channel_order():
     rng = np.random.default_rng(0)
     press = coloured_press(rng, grey=True)

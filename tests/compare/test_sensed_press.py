@@ -126,6 +126,24 @@ def test_normals_and_contact_are_those_of_the_ball(presses, taught):
     assert vertices[:, 2].min() == pytest.approx(-sensed.deepest_mm)
     first = vertices[triangles[0]]
     assert np.cross(first[1] - first[0], first[2] - first[0])[2] > 0.0
+    # a dent seen as a bump: the normals are those of the surface z = depth, z towards the camera
+    slope_rows, slope_columns = np.gradient(sensed.depth_mm.astype(float), MM_PER_PX)
+    steep = sensed.depth_mm > 0.5 * sensed.deepest_mm
+    for axis, slope in enumerate((slope_columns, slope_rows)):
+        assert np.corrcoef(-slope[steep], sensed.normal[..., axis][steep])[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(("mirrored", "handedness"), [(False, 1.0), (True, -1.0)])
+def test_the_mesh_is_the_gel_and_not_its_mirror_image(presses, taught, mirrored, handedness):
+    """A camera's right, down and ahead are right-handed, and ahead leads out of the gel; one mirror reverses that."""
+    sensed = sense_press(taught, capture_of(presses[30], "q"))
+    triangles, vertices = surface_triangles(sensed, mirrored=mirrored)
+    grid = vertices.reshape(*sensed.depth_mm.shape, 3)
+    along_columns, along_rows = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    out = np.array([0.0, 0.0, 1.0])  # where a dent is below 0
+    assert np.sign(np.linalg.det([along_columns * [1, 1, 0], along_rows * [1, 1, 0], out])) == handedness
+    corners = vertices[triangles]
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
 
 
 def test_a_press_that_taught_is_told_and_clipped_pixels_are_filled(presses, taught):

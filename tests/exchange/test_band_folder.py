@@ -84,6 +84,17 @@ def test_dark_frames_are_used_and_files_are_named(tmp_path):
     assert (dark.fluorescence_covariance.diagonal() < plain.fluorescence_covariance.diagonal()).all()
     assert {"dark/1.tif", "bands.toml", "white/450nm.tif", "laser_white.tif"} <= set(digests)
     assert any("no dark frames" in note for note in plain.notes)
+    # the level that stands in for dark frames has no drift that was measured
+    assert not any("drift of the dark level" in note for note in plain.notes)
+    assert any("drift of the dark level" in note for note in dark.notes)
+
+
+def test_dark_current_that_is_not_subtracted_is_told(tmp_path):
+    folder = write_folder(tmp_path / "f", "Bayer RGGB")
+    with (folder / "bands.toml").open("a") as file:
+        file.write('files = { "laser/500nm.tif" = 30.0 }\n')
+    bands, _ = import_band_folder(folder)
+    assert any("dark current of exposures of up to 30 s is not subtracted" in note for note in bands.notes)
 
 
 def test_declared_black_level_uncertainty_is_carried(tmp_path):
