@@ -287,7 +287,7 @@ def press_sensitivities(
     Raises
     ------
     SimulateError
-        When the unchanged design finds no equilibrium on the coarse mesh.
+        When the unchanged design finds no equilibrium on the coarse mesh, or one without force.
     """
     increments = len(pressed.depth_mm)
     before = pressed
@@ -324,7 +324,18 @@ def press_sensitivities(
 def _slopes(
     design: FingerDesign, pressed: PressedFinger, fields: Sequence[str], threads: int, folder: Path
 ) -> dict[str, NDArray[np.float64]]:
-    """Return d ln F / d ln x at the increments of a press, of the numbers that have it."""
+    """Return d ln F / d ln x at the increments of a press, of the numbers that have it.
+
+    Raises
+    ------
+    SimulateError
+        When an increment has no force.
+    """
+    if (without := pressed.force_n[:, 1] <= 0.0).any():
+        raise SimulateError(
+            f"the force of the press is 0 N at a push of {pressed.depth_mm[without][-1]:.3g} mm on the {PRESET} mesh, "
+            "so that its relative change is not defined; press deeper, or in fewer increments"
+        )
     changes = {}
     for field in fields:
         try:
@@ -424,7 +435,7 @@ def finger_force_model(
     Raises
     ------
     SimulateError
-        When a press finds no equilibrium or ends early, or the indenter needs the barrier.
+        When a press finds no equilibrium, has no force or ends early, or the indenter needs the barrier.
     """
     deep = design.model_copy(update={"indenter": design.indenter.model_copy(update={"depth_mm": push_mm})})
     own = deep.mechanics.gel
@@ -451,14 +462,6 @@ def finger_force_model(
         f"{design.name}, {PRESET} mesh", deep, list(zip(gels, found[: len(gels)], strict=True)),
         list(zip(bulks, found[len(gels) :], strict=True)), FORCE_EXCESS_REL[PRESET],
     )  # fmt: skip
-
-
-def _needed(design: FingerDesign, varied: str, at_reference: bool) -> list[str]:
-    """Return by what a press of a ladder is differentiated: by dimensions only at the design's own gel."""
-    if varied == "mechanics.gel.bulk_over_shear":
-        return [varied]
-    every = [field for field in _uncertain(design) if _is_continuous(design, field)]
-    return [field for field in every if at_reference or field.endswith("_mpa")]
 
 
 def _sensitivities(

@@ -51,6 +51,7 @@ Floats = NDArray[np.float64]
 _FINEST_GRID = 1000
 _THINNEST_GEL_MM = 0.05
 _LARGEST_CLIFF_MM = 0.05
+_ROUNDING_MM = 1e-9
 # of the deepest place; shallower ones are noise of a map as likely as contact
 _CONTACT_SHARE = 0.1
 
@@ -246,7 +247,9 @@ def _mapped(
     middle = sensor.pad.length_mm / 2.0 if surface.position_mm is None else surface.position_mm
     across = surface.across_mm + (np.arange(columns) - (columns - 1) / 2.0) * step
     along = middle + (np.arange(rows) - (rows - 1) / 2.0) * step
-    x, z = grid
+    # a map of the pad's size may end inside it by rounding
+    ends = [np.clip(own, on[0], on[-1]) for own, on in zip(grid, (across, along), strict=True)]
+    x, z = (np.where(np.abs(own - end) < _ROUNDING_MM, end, own) for own, end in zip(grid, ends, strict=True))
     # rows run against z
     read = RegularGridInterpolator((across, along), values[::-1].T, bounds_error=False, fill_value=np.nan)
     found = read(np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1))

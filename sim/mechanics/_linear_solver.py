@@ -398,8 +398,11 @@ class SuperLU:
             raise SimulateError(_SINGULAR) from singular
 
     def factorise_definite(self, upper: sp.csr_array, pattern: int) -> bool:
-        """Factorise the whole matrix and tell whether it is positive definite."""
-        self.factorise(upper, pattern)
+        """Factorise the whole matrix and tell whether it is positive definite: a singular one is not."""
+        try:
+            self.factorise(upper, pattern)
+        except SimulateError:
+            return False
         return self.definite
 
     def solve(self, right_side: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ HEXAHEDRON_FACES = np.array([[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6,
 _NEIGHBOURS = np.array([[1, 3, 4], [2, 0, 5], [3, 1, 6], [0, 2, 7], [7, 5, 0], [4, 6, 1], [5, 7, 2], [6, 4, 3]])
 # diagonals that differ by less, relative, count as equal: rounding must not decide the split
 _EQUAL_DIAGONALS_REL = 1e-9
-# a triangle with less area than this share of its longest edge squared is a line
 
 
 @dataclass(frozen=True, slots=True)

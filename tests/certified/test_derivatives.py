@@ -117,6 +117,13 @@ def test_sensitivities_tell_the_derivatives(pressed, derivatives):
         assert slope.ln_force_per_ln_number == pytest.approx([own], rel=1e-9)
 
 
+def test_a_press_without_force_has_no_sensitivities(pressed):
+    coarse = changed_design(design(), "mesh.preset", "coarse")
+    loose = replace(pressed, force_n=0.0 * pressed.force_n)
+    with pytest.raises(SimulateError, match=r"force of the press is 0 N at a push of [\d.]+ mm.*; press deeper"):
+        press_sensitivities(coarse, loose, fields=MODULI[:1])
+
+
 @pytest.mark.skipif(contact_library_failure() is not None, reason=f"NO BARRIER: {contact_library_failure()}")
 def test_sensitivities_of_a_press_whose_parts_touch_are_presses_with_that_contact(monkeypatch):
     """All moduli 1 % higher give 1 % more force; the contact takes 2 % off it, which one press without would add."""

@@ -592,6 +592,16 @@ def test_a_singular_matrix_is_named():
         linear_solver("superlu").factorise(sp.csr_array(np.zeros((3, 3)) + np.diag([1.0, 1.0, 0.0])), 0)
 
 
+@both_solvers
+def test_a_singular_matrix_is_not_positive_definite(solver):
+    # a rigid body without contact: nothing resists its move
+    opened, unit = linear_solver(solver), np.diag([1.0, 1.0, 1.0])
+    assert opened.factorise_definite(sp.csr_array(unit), 0)
+    free = sp.csr_array(unit)
+    free.data[2] = 0.0
+    assert not opened.factorise_definite(free, 0)
+
+
 def test_without_pardiso_superlu_takes_over(monkeypatch):
     monkeypatch.setitem(sys.modules, "pypardiso", None)
     assert type(linear_solver()).__name__ == "SuperLU"

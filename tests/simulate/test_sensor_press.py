@@ -165,6 +165,15 @@ class TestHeightMaps:
         assert moved.rest.x_mm[at[0]] == pytest.approx(-2.0 + 1.5 - 0.95, abs=0.2)
         assert moved.rest.z_mm[at[1]] == pytest.approx(8.0 + 12.0 - 12.05, abs=0.2)
 
+    def test_a_map_of_the_pad_s_size_holds_up_to_its_edges(self, tmp_path):
+        # 50 steps of 0.29 mm about the middle, 7.25 mm, begin 9e-16 mm inside the pad
+        np.save(tmp_path / "coat.npy", np.full((51, 51), 0.03))
+        square = with_surface(file="coat.npy", step_mm=0.29).model_copy(
+            update={"pad": GelPad(length_mm=14.5, width_mm=14.5, thickness_mm=4.0)}
+        )
+        coat = pressed_coat(square, tmp_path)
+        np.testing.assert_allclose(coat.rest.height_mm - coat.pressed.height_mm, 0.03, rtol=1e-12)
+
     def test_a_mesh_of_the_coat(self, tmp_path):
         gel = analytic_gel(SENSOR, True)
         faces = gel.faces()["coat"]
