@@ -308,6 +308,7 @@ CIRCLE = '[contact]\nfile = "t.csv"\npress = "n"\ncircle = {column_px = "x", row
             r"no file in the folder matches presses.files of the recipe 'mine' "
             r"\(\{press\}.tiff\)",
         ),
+        (('shape = "ball"', 'shape = "sphere"'), None, "'indenter.shape': must be 'ball', 'cylinder', 'cuboid' or"),
         (('"{press}.png"', '"../{press}.png"'), None, "must be a path within the folder"),
         (('"{press}.png"', '"a.png"'), None, r"must contain \{press\}, .* exactly once"),
         (("[indenter]\n", CIRCLE), ('press = "n"\n', ""), "'press' is missing next to file"),
