@@ -460,7 +460,7 @@ PLAIN = {
     "finite_number": "must be a finite number",
 }
 """Kind of fault -> what it is in words that need no programming language."""
-OF_A_UNION = re.compile(r"(function-\w+|dict|tuple|list)\[.*\]|constrained-(float|int|str)")
+OF_A_UNION = re.compile(r"(function-\w+|dict|tuple|list|literal)\[.*\]|constrained-(float|int|str)")
 """What pydantic puts into a location for the member of a union that it tried, which is no field."""
 PURE_NUMBER = re.compile(r"1( \(.*\))?")
 OUT_OF_BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}

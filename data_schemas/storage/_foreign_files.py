@@ -346,7 +346,8 @@ def read_text(
         return read_bytes(path, what, error, LARGEST_TEXT_BYTES).decode(encoding)
     except UnicodeDecodeError as fault:
         raise error(
-            f"{path}: cannot be read as {encoding.upper().removesuffix('-SIG')} text ({fault}); give {what}"
+            f"{path}: cannot be read as {encoding.upper().removesuffix('-SIG')} text ({fault}); give {what}, saved as "
+            "UTF-8 (in Windows, choose the encoding under 'Save as')"
         ) from None
 
 

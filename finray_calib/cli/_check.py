@@ -21,6 +21,7 @@ from finray_calib.cli._run import (
     interruptible,
     naming,
     require_new,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -359,7 +360,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of session folders")
     parser.add_argument(
         "--reference",
-        type=int,
+        type=whole_number(6, 10_000),  # of fewer, no limits are known: FEWEST_REFERENCE
         default=10,
         metavar="N",
         help="number of sessions, counted from the first, that serve as the reference (default: 10)",

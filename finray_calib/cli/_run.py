@@ -278,11 +278,13 @@ def input_digests(paths: Iterable[Path]) -> dict[str, str]:
 def interruptible(out: Path) -> Iterator[None]:
     """Let SIGTERM and a closed terminal end a capture as Ctrl-C does, and say how to go on."""
     from data_schemas.storage import MANIFEST_NAME
-    from rigs.capture import JOURNAL_NAME
+    from rigs.capture import JOURNAL_NAME, OtherCaptureError
 
     with ended_by_signals():
         try:
             yield
+        except OtherCaptureError:
+            raise  # what the folder holds is not of this capture, which could not be resumed now
         except (KeyboardInterrupt, FinrayError, OSError):
             if (out / JOURNAL_NAME).exists() and not (out / MANIFEST_NAME).exists():
                 warn(f"{out}: holds what was captured so far; continue with: finray capture --resume {out}")

@@ -282,8 +282,8 @@ def pair_by_name(simulated: Iterable[str], captured: Iterable[str]) -> tuple[dic
     if not names:
         raise CompareError(
             f"no simulated press and capture have the same name ({len(first)} presses, {len(second)} captures); give "
-            "each pair one name, such as one.press.json and one.capture.json, or list the pairs in a CSV file with the "
-            "columns simulated and captured (--pairs)"
+            "the simulated presses first and the captures last, and give each pair one name, such as one.press.json "
+            "and one.capture.json, or list the pairs in a CSV file with the columns simulated and captured (--pairs)"
         )
     alone = [file for side, other in ((first, second), (second, first)) for n, file in side.items() if n not in other]
     return {name: (first[name], second[name]) for name in names}, sorted(alone)

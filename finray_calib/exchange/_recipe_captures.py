@@ -24,6 +24,7 @@ from data_schemas import (
 from data_schemas.storage import finite_number, folder_at, has_file, read_npy
 from finray_calib.exchange._ball_presses import SourcedCircle
 from finray_calib.exchange._capture_recipe import (
+    PLACEHOLDER,
     PRESS,
     Recipe,
     RecipeContact,
@@ -637,18 +638,16 @@ class _Folder:
     def _missing(self, capture: TactileCapture) -> tuple[MissingPart, ...]:
         """Return what the capture lacks, and what is lost by it."""
         source = self.recipe.no_contact
-        common = source.file is not None and PRESS not in source.file
+        words, own = (set(PLACEHOLDER.findall(text)) for text in (self.recipe.presses.files, source.file or ""))
+        common = source.file is not None and PRESS not in source.file and not words <= own
+        searched = capture.contact_told_by == "search"
         lacks = (
             (capture.repeat_no_contact is None, "a second image without contact", "how much of an error is noise"),
             (common, "an image without contact of each press", "drift and wear of the gel cannot be separated"),
             (source.median_of_presses, "an image without contact", _MEDIAN_LOSES),
             (source.far_pixels, "an image without contact", _SURFACE_LOSES),
-            (capture.contact_told_by == "search", "a drawn contact", "found by a search: its size is known to 20 %"),
-            (
-                capture.contact_told_by == "search" and contradicts_depth(capture),
-                "a circle that suits its depth",
-                _DOUBTFUL,
-            ),
+            (searched, "a drawn contact", "found by a search: its size is known to 20 %"),
+            (searched and contradicts_depth(capture), "a circle that suits its depth", _DOUBTFUL),
             (capture.contact_told_by is None, "where the contact is", "the simulated side must give the region"),
             (capture.indenter.radius_mm is None, "the indenter's size", "slopes and depth have no scale"),
             (capture.mm_per_px is None, "the scale, mm per px", "depth has no scale"),

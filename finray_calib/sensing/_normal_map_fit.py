@@ -53,8 +53,8 @@ class CalibrationPress:
         Images (H, W, 3) in one unit; NaN where clipped.
     row_px, column_px, radius_px
         Centre and radius of the contact circle.
-    ball_radius_px
-        Radius of the ball in pixels of the image.
+    ball_radius_px, name
+        Radius of the ball in pixels of the image; what messages call the press.
     """
 
     contact: Floats
@@ -63,6 +63,7 @@ class CalibrationPress:
     column_px: float
     radius_px: float
     ball_radius_px: float
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +243,7 @@ def _lessons(presses: Sequence[CalibrationPress], seed: int) -> list[_Lesson]:
         )
     rng = np.random.default_rng(seed)
     shape = presses[0].contact.shape[:2]
-    lessons = [_lesson(press, f"press {k}", shape, rng) for k, press in enumerate(presses, start=1)]
+    lessons = [_lesson(press, press.name or f"press {k}", shape, rng) for k, press in enumerate(presses, start=1)]
     if not any(np.ptp(lesson.change) > 0.0 for lesson in lessons):
         raise CompareError(
             "no press changes the picture, because contact and no-contact images are the same; check the files"
@@ -283,7 +284,7 @@ def _check_press(press: CalibrationPress, name: str, shape: tuple[int, ...]) -> 
     if not 0.0 < press.radius_px < press.ball_radius_px:
         raise CompareError(
             f"{name}: the contact circle of {press.radius_px:g} px must be smaller than the ball of "
-            f"{press.ball_radius_px:.4g} px radius; check the size of the ball (diameter or radius?) and mm per px"
+            f"{press.ball_radius_px:.4g} px radius; check the ball (diameter or radius?), mm per px and the circle"
         )
 
 
@@ -302,10 +303,8 @@ def _solve(lessons: Sequence[_Lesson]) -> Floats:
     return np.asarray(np.linalg.solve(normal + np.diag(penalty), right))
 
 
-# scales of one camera differ by rounding only
-_SAME_SCALE_REL = 1e-6
-# a scale that was measured twice
-_NEAR_SCALE_REL = 0.02
+# scales of one camera differ by rounding only, those that were measured twice by more
+_SAME_SCALE_REL, _NEAR_SCALE_REL = 1e-6, 0.02
 
 
 def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) -> NormalMapRecord:
@@ -410,6 +409,7 @@ def calibration_press(capture: TactileCapture) -> CalibrationPress:
         column_px=(circle.column_px + 0.5) / cell - 0.5,
         radius_px=circle.radius_px / cell,
         ball_radius_px=radius_mm / _scale_mm(capture) / cell,
+        name=capture.name,
     )
 
 

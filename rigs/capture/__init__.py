@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         read_cell_calibration,
     )
     from rigs.capture._frame_store import space_warning
-    from rigs.capture._journal import JOURNAL_NAME, StatedTimes, read_journal
+    from rigs.capture._journal import JOURNAL_NAME, OtherCaptureError, StatedTimes, read_journal
     from rigs.capture._paint_session import Forecast, capture_paint_session, forecast
     from rigs.capture._plan import Step, paint_steps, planned_presses, tactile_shots
     from rigs.capture._resume import Interrupted, read_interrupted, unvouched_files
@@ -66,6 +66,7 @@ __all__ = [
     "Forecast",
     "Interrupted",
     "OpenTactileRig",
+    "OtherCaptureError",
     "SessionRequest",
     "SessionWatch",
     "StagePress",

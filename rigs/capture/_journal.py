@@ -35,6 +35,10 @@ FAULT_EVENT: Final = "fault"
 _LINKED: Final = re.compile(rb'(\{.*), "link": "([0-9a-f]{64})"\}', re.DOTALL)
 
 
+class OtherCaptureError(CaptureError):
+    """Another capture writes into the folder."""
+
+
 class _Line(NamedTuple):
     """A line to be written: event, time of day, monotonic time (s) and the rest."""
 
@@ -92,7 +96,7 @@ class Journal:
 
     Raises
     ------
-    CaptureError
+    OtherCaptureError
         The folder holds a journal already, or another capture writes into it now.
     """
 
@@ -115,13 +119,13 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise CaptureError(
+            raise OtherCaptureError(
                 f"{self._path}: another capture is writing into this folder; wait until it ends"
             ) from None
         if self._nameless is not None:
             try:
                 self._require_new()  # again: the lock of a file that got its name meanwhile is ours too
-            except CaptureError:
+            except OtherCaptureError:
                 self._file.close()
                 raise
             self._file.truncate(0)
@@ -229,7 +233,7 @@ class Journal:
     def _require_new(self) -> None:
         """Refuse a folder that has a journal."""
         if self._path.exists():
-            raise CaptureError(
+            raise OtherCaptureError(
                 f"{self._path}: exists already, so another capture writes into this folder; choose another --out"
             )
 

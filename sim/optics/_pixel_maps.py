@@ -5,12 +5,14 @@ mirrors and clear faces are passed, everything else ends a ray. From them follow
 pad: how much of it, how finely, and what else is in the picture.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,11 @@ from sim.optics._renderer import SCALAR_VARIANT
 from sim.surface_meshes import FingerShape, Surface, mirror_shape, rest_shape, vertex_normals
 
 Floats = NDArray[np.float64]
+
+_UNION_MM: Final = 0.05
+"""Pixel of the drawing in which the coat that is seen is counted, well below a cell of the camera on the coat."""
+_UNION_BITS: Final = 4
+_CORNERS: Final = ((-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,8 +460,21 @@ def camera_view(design: FingerDesign, folder: Path, renderer: ModuleType) -> Cam
     maps = pixel_maps(design, rest, rest, renderer, calibration)
     by_row, by_column, area_mm2 = _jacobian(maps.coat_mm(design))
     along, across = _resolution(by_row, by_column, area_mm2)
-    share = float(np.nansum(area_mm2)) / (design.pad.length_mm * design.pad.width_mm)
+    share = _union_share(maps.coat_mm(design), by_row, by_column, (design.pad.length_mm, design.pad.width_mm))
     return CameraView(design, maps, share, along, across)
+
+
+def _union_share(place: Floats, by_row: Floats, by_column: Floats, pad_mm: tuple[float, float]) -> float:
+    """Return the share of the coat in the picture; a place that the camera sees twice counts once."""
+    size = tuple(math.ceil(length / _UNION_MM) for length in pad_mm)
+    seen = np.zeros(size, dtype=np.uint8)
+    corners = np.stack([place + (a * by_row + b * by_column) / 2.0 for a, b in _CORNERS], axis=2)
+    corners = corners[np.isfinite(corners).all(axis=(2, 3))]  # (cells, corners, z and x)
+    # pixel k of the drawing is centred at (k + 0.5) / size of the pad
+    in_drawing = (corners / pad_mm + (0.0, 0.5)) * size - 0.5
+    for cell in np.round(in_drawing[..., ::-1] * 2**_UNION_BITS).astype(np.int32):
+        cv2.fillConvexPoly(seen, cell, 1, shift=_UNION_BITS)
+    return float(seen.mean())
 
 
 def _jacobian(place: Floats) -> tuple[Floats, Floats, Floats]:

@@ -1036,6 +1036,11 @@ USAGE = (
         "fits {lab}/bands.json",
         r"invalid choice: 'fits' .*; did you mean 'fit'\? 'finray --help' explains",
     ),
+    Case(
+        "history with too short a reference",
+        "history {lab} --reference 5",
+        r"argument --reference: '5' must be a whole number from 6 to \d+",
+    ),
     Case("capital letter", "Fit {lab}/bands.json", r"invalid choice: 'Fit' .*; did you mean 'fit'\?"),
     Case(
         "misspelt job",

@@ -10,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from data_schemas import CaptureError
 from data_schemas.storage import sha256_of
+from finray_calib.cli._run import interruptible
+from rigs import SystemClock
+from rigs.capture import JOURNAL_NAME
+from rigs.capture._journal import Journal
 from tests.command_line.mistakes import CASES, USAGE, Case, edited
 from tests.command_line.running import finray, tree
 
@@ -76,6 +81,24 @@ def test_real_process_prints_no_traceback(places: dict[str, Path]) -> None:
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert re.fullmatch(r"finray fit: error: \S+plan\.toml: cannot be read as JSON .*\n", done.stderr)
+
+
+def test_folder_of_another_capture_is_not_offered_for_resuming(
+    places: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """While the other capture runs, this command would be refused: its session is not ours to continue."""
+    out = places["tmp"] / "session"
+    out.mkdir()
+    (out / JOURNAL_NAME).write_text("{}\n")  # by the other capture, since this one looked for the folder
+    with pytest.raises(CaptureError, match="choose another --out"), interruptible(out):
+        Journal(out, SystemClock())
+    with (
+        pytest.raises(CaptureError, match="another capture is writing into this folder"),
+        Journal(out, SystemClock(), resumed=True),
+        interruptible(out),
+    ):
+        Journal(out, SystemClock(), resumed=True)
+    assert "--resume" not in capsys.readouterr().err
 
 
 def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> None:

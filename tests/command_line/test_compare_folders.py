@@ -167,9 +167,9 @@ def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> 
         ),
         ("--pairs {0}/pairs.csv", "row 1: must name a file in both columns, simulated and captured"),
         ("--pairs {0}/none.csv", "none.csv: no such file; give the path of a CSV file"),
-        ("--pairs {0}/bytes.csv", "bytes.csv: cannot be read as UTF-8"),
+        ("--pairs {0}/bytes.csv", "saved as UTF-8 (in Windows, choose the encoding under 'Save as')"),
         ("{0}/simulated {0}/captured --normal-map {0}/none.json", "none.json: no such file"),
-        ("{0}/captured {0}/simulated", "no simulated press and capture have the same name (0 presses, 0 captures)"),
+        ("{0}/captured {0}/simulated", "(0 presses, 0 captures); give the simulated presses first and"),
     ],
 )
 def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str, message: str) -> None:

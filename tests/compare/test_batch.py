@@ -29,7 +29,8 @@ def test_files_are_paired_by_name():
     assert pair_name("one.press.json") == pair_name("one.capture.json") == "one"
     with pytest.raises(
         CompareError,
-        match=r"no simulated press and capture have the same name \(1 presses, 0 captures\); give each pair one name",
+        match=r"no simulated press and capture have the same name \(1 presses, 0 captures\); give the simulated "
+        r"presses first and the captures last, and give each pair one name",
     ):
         pair_by_name(["a.press.json"], [])
 

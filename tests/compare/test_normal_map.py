@@ -145,6 +145,12 @@ def test_presses_that_cannot_be_are_refused(presses, change, message):
         fit_normal_map([replace(presses[0], **change), *presses[1:]], seed=1)
 
 
+def test_a_press_that_cannot_be_is_called_by_its_name(presses):
+    named = [replace(presses[0], name="0007", radius_px=25.0), *presses[1:]]
+    with pytest.raises(CompareError, match=r"^0007: the contact circle of 25 px .* mm per px and the circle"):
+        fit_normal_map(named, seed=1)
+
+
 def test_too_few_or_unchanged_presses_are_refused(presses):
     with pytest.raises(CompareError, match="needs at least 12 ball presses, got 11"):
         fit_normal_map(presses[:11], seed=1)

@@ -351,6 +351,7 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES + "[contact]\noutline = ['a']\n", "file is missing"),
         (PICTURES + "[picture]\nsize_px = [100, 100]\n", "only one of corners_px and size_px is given"),
         (PICTURES.replace("shape =", "form ="), "form"),
+        (PICTURES.replace('shape = "ball"', 'shape = "orb"'), "'indenter.shape': must be 'ball', 'cylinder', 'cuboid'"),
         (PICTURES + "depth_uncertainty_mm = 0.1\n", "depth_uncertainty_mm is given without depth_mm"),
         (PICTURES + "extruded_mm = 5.0\n", 'extruded_mm is supported only for shape = "mesh", not for a ball'),
         (PRISM.replace("[scale]\nmm_per_px = 0.1\n", ""), "extruded_mm needs the outline of the contact in mm"),

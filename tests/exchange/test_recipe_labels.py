@@ -38,6 +38,7 @@ def test_parts_of_a_name_are_numbers_and_name_other_files(tmp_path):
         shape, mm = ("ball", 9) if k < 3 else ("edge", 2)
         put(tmp_path / f"{shape}_{mm}" / f"run{k}_z-{k + 5}0p5_x{k}_f{100 * k}.5g.png", image)
         put(tmp_path / f"{shape}_{mm}" / f"rest{k}.png", UNTOUCHED)
+        put(tmp_path / "rests" / f"{shape}_{mm}_{k}_{k + 5}0p5_{k}_{100 * k}.5.png", UNTOUCHED)
     recipe = told("""
         presses = { files = "{solid}_{width}/run{run}_z-{z}_x{x}_f{force}g.png" }
         no_contact = { file = "{solid}_{width}/rest{run}.png" }
@@ -52,6 +53,11 @@ def test_parts_of_a_name_are_numbers_and_name_other_files(tmp_path):
     found = read_by_recipe(tmp_path, recipe)
     assert not found.left_out
     assert next(iter(found.captures)) == "ball_9/run0_z-50p5_x0_f0.5"
+    lacking = "an image without contact of each press"  # other words of the name may differ where these are the same
+    assert all(lacking in {part.what for part in capture.missing} for capture in found.captures.values())
+    every = recipe.no_contact.model_copy(update={"file": "rests/{solid}_{width}_{run}_{z}_{x}_{force}.png"})
+    own = read_by_recipe(tmp_path, recipe.model_copy(update={"no_contact": every}))
+    assert all(lacking not in {part.what for part in capture.missing} for capture in own.captures.values())
     told_of = [(c.indenter.shape, c.indenter.radius_mm, c.indenter.position_mm) for c in found.captures.values()]
     assert told_of == [("ball", 90, 0), ("ball", 90, 1), ("ball", 90, 2), ("cuboid", 20, 3), ("cuboid", 20, 4)]
     depths = [c.indenter.depth_mm for c in found.captures.values()]

@@ -33,6 +33,16 @@ def test_resolution_and_share_are_those_of_the_closed_form(scalar, tmp_path):
     assert "px/mm" in str(view)
 
 
+def test_a_place_that_is_seen_twice_counts_once(scalar, tmp_path):
+    """The camera of this finger sees the last 5 mm of its coat twice; the share was 1.08."""
+    pad = DESIGN.pad.model_copy(update={"length_mm": 50.0, "width_mm": 30.0})
+    ball = DESIGN.indenter.model_copy(update={"position_mm": 25.0})
+    view = camera_view(DESIGN.model_copy(update={"pad": pad, "indenter": ball}), tmp_path, scalar)
+    # cells of about 1 mm, which reach over the edge by half
+    assert view.coat_share == pytest.approx(1.0, abs=0.02)
+    assert view.coat_share <= 1.0
+
+
 def test_a_narrow_camera_sees_less(scalar, tmp_path):
     narrow = DESIGN.model_copy(update={"camera": TactileCamera(width_px=160, height_px=120, field_of_view_deg=70.0)})
     assert camera_view(narrow, tmp_path, scalar).coat_share < 0.7 * camera_view(DESIGN, tmp_path, scalar).coat_share
