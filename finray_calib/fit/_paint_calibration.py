@@ -500,10 +500,11 @@ def fit_warnings(
             f"the model cannot explain the frames of filter{('s' if len(bad) > 1 else '')} {', '.join(bad)} "
             f"(posterior predictive p < {SMALLEST_P:g}), so the intervals are too narrow; check these frames"
         )
-    maxima = posterior.maxima.log_posterior
-    if len(maxima) > 1 and maxima[0] - maxima[1] < _CLOSE_MAXIMA_NATS:
-        modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
-        said.append(f"the bands do not decide between {len(maxima)} maxima of the posterior, with modes at {modes} nm")
+    maxima = posterior.maxima
+    close = maxima.theta[maxima.log_posterior > maxima.log_posterior[0] - _CLOSE_MAXIMA_NATS]
+    if len(close) > 1:
+        modes = ", ".join(f"{theta[0]:.0f}" for theta in close)
+        said.append(f"the bands do not decide between {len(close)} maxima of the posterior, with modes at {modes} nm")
     if not posterior.sampling.trusted:
         said.append(
             "the sampling cannot be trusted, because neither importance sampling nor moved draws nor emcee reached "

@@ -159,8 +159,10 @@ def test_saturated_bands_give_wider_intervals(bands, paint):
 
 
 def test_an_ambiguity_and_other_doubts_are_told(bands):
-    """Two maxima 1 nat apart, draws that no method trusts, a chain that disagrees."""
-    maxima = SimpleNamespace(log_posterior=np.array([10.0, 9.0]), theta=np.array([[606.0, 0], [561.0, 0]]))
+    """Two maxima 1 nat apart and a third that the bands exclude, untrusted draws, a chain that disagrees."""
+    maxima = SimpleNamespace(
+        log_posterior=np.array([10.0, 9.0, -9.0]), theta=np.array([[606.0, 0], [561.0, 0], [700.0, 0]])
+    )
     doubtful = SimpleNamespace(
         maxima=maxima, sampling=SimpleNamespace(trusted=False), share_below_laser=np.full(10, 0.07)
     )
@@ -175,7 +177,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
     ):
         assert any(words in line for line in said)
     fine = SimpleNamespace(
-        maxima=SimpleNamespace(log_posterior=np.array([10.0, 1.0]), theta=maxima.theta),
+        maxima=SimpleNamespace(log_posterior=np.array([10.0, 1.0]), theta=maxima.theta[:2]),
         sampling=SimpleNamespace(trusted=True),
         share_below_laser=np.zeros(10),
     )
