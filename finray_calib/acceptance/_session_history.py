@@ -333,11 +333,24 @@ def _summed(signal_dn_per_s: Floats) -> float:
     return float(np.nansum(signal_dn_per_s))
 
 
+def _level(signal_dn_per_s: Floats, light: str, filter_name: str) -> float:
+    """Return 100 times the logarithm of the white tile's signal, which has none where the light was off."""
+    level_dn_per_s = _summed(signal_dn_per_s)
+    if level_dn_per_s <= 0.0:
+        raise FinrayError(
+            f"{light} behind filter {filter_name}: the signal of the white tile is {level_dn_per_s:.3g} DN/s above the "
+            f"dark level, but must be above 0; check that the {light} was on, and capture again"
+        )
+    return PERCENT * float(np.log(level_dn_per_s))
+
+
 def _lights(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
     """Return the lamp's level and colour, each filter by itself, and the laser's level."""
     centres = {band.name: band.center_nm for band in session.rig.filter_wheel.filters}
     place = np.array([centres[name] for name in steps.names])
-    white = PERCENT * np.log([_summed(step.signal_dn_per_s) for step in steps.white])
+    white = np.array([
+        _level(step.signal_dn_per_s, "lamp", name) for step, name in zip(steps.white, steps.names, strict=True)
+    ])  # fmt: skip
     span = float(np.ptp(place)) or 1.0
     design = np.column_stack([np.ones(place.size), (place - place.mean()) / span])
     line = np.linalg.lstsq(design, white, rcond=None)[0]
@@ -346,7 +359,7 @@ def _lights(session: CaptureSession, steps: SessionSteps) -> dict[str, float]:
         "lamp level (%)": float(line[0]),
         "lamp colour, long / short wavelengths (%)": float(line[1]),
         **{f"filter {name} (%)": float(value) for name, value in zip(steps.names, apart, strict=True)},
-        "laser level (%)": PERCENT * float(np.log(_summed(steps.laser_white.signal_dn_per_s))),
+        "laser level (%)": _level(steps.laser_white.signal_dn_per_s, "laser", steps.names[steps.excitation]),
     }
 
 

@@ -86,8 +86,12 @@ def find_images(folder: Path, description: BandFolder) -> list[BandImage]:
     """
     files, times = description.files, description.exposure_s
     names = [f.name for f in description.filters]
+
+    def own_s(path: Path, exposure_s: float) -> float:
+        return times.files.get(path.relative_to(folder).as_posix(), exposure_s)
+
     images = [
-        BandImage(path, "dark", None, dark.exposure_s)
+        BandImage(path, "dark", None, own_s(path, dark.exposure_s))
         for dark in description.darks
         for path in _matches(folder, "darks.files", dark.files, None)
     ]
@@ -102,8 +106,7 @@ def find_images(folder: Path, description: BandFolder) -> list[BandImage]:
         for name in filters:
             exposure_s: float = time[name] if isinstance(time, dict) else time
             for path in _matches(folder, f"files.{field}", getattr(files, field), name):
-                own_s = times.files.get(path.relative_to(folder).as_posix(), exposure_s)
-                images.append(BandImage(path, frame_type, name, own_s))
+                images.append(BandImage(path, frame_type, name, own_s(path, exposure_s)))
     _check_names(folder, images, times.files)
     return images
 

@@ -193,7 +193,7 @@ class RecipeContact(RecipeLabels):
     outline: tuple[str, ...] = Field(
         default=(), description="arrays of the npz file that hold corners (column, row); the contact is their hull"
     )
-    outline_px: dict[str, tuple[Corner, ...]] = Field(
+    outline_px: dict[str, Annotated[tuple[Corner, ...], Field(min_length=3)]] = Field(
         default={}, description="name of the press -> corners (column, row)"
     )
     depth_map: RecipeDepthMap | None = None

@@ -438,7 +438,10 @@ class PressLabels:
         points = np.concatenate(corners).astype(np.float32)
         if len(np.unique(points, axis=0)) < 3 or not np.isfinite(points).all():
             raise LeftOutError("its outline has fewer than 3 different corners, or corners that are not finite numbers")
-        return np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
+        hull = np.asarray(cv2.convexHull(points)[:, 0], dtype=np.float32)
+        if len(hull) < 3:
+            raise LeftOutError("all corners of its outline lie on one line")
+        return hull
 
     def depths_mm(self, name: str, source: RecipeDepthMap, shape: tuple[int, ...]) -> Floats:
         """Return how deep each pixel of the stored picture of this shape is pressed in, mm.

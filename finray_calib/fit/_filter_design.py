@@ -495,6 +495,7 @@ def _known_rig(optics: Optics) -> tuple[EmissionWeights, BandData]:
         band_calibration_rel=optics.band_uncertainty.calibration_rel,
         tolerances=band_tolerances(optics, channels),
         lamp_response_rel=lamp_response(optics, channels),
+        tile_uncertainty_rel=optics.white_reference.uncertainty_rel,
     )
     return weights, data
 
@@ -508,7 +509,11 @@ def _measured(
     emission = ~weights.is_excitation & empty.usable.ravel()
     relative = np.hypot(_NOISE_REL, stated.response_rel) * mu
     variance = relative**2 + (stated.stray_light_rel * float(mu[emission].max())) ** 2
-    exact = replace(empty, y=mu.reshape(empty.y.shape), covariance=np.diag(variance))
+
+    def covariance(values: Floats) -> Floats:
+        return np.asarray(np.diag(variance) + empty.tile_uncertainty_rel**2 * np.outer(values, values))
+
+    exact = replace(empty, y=mu.reshape(empty.y.shape), covariance=covariance(mu))
     y = mu.copy()
     y[empty.kept] += band_errors(exact, curve, reflectance, EmissionPrior().ln_blocking_sd, rng)
-    return replace(exact, y=y.reshape(empty.y.shape))
+    return replace(exact, y=y.reshape(empty.y.shape), covariance=covariance(y))

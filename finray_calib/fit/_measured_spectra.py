@@ -504,7 +504,8 @@ def _first_pass(rig: Rig, parts: Components, bands: Floats, seen: NDArray[np.int
     departures = departures + np.einsum("nqi,nqj->nij", moved, moved)
     # without the leaks of the laser a weak paint's best components are those that explain the leak
     columns = rig.columns(np.zeros(parts.wavelength_nm.size), rig.laser_alone)
-    covariance = rig.data.covariance[np.ix_(rig.data.kept, rig.data.kept)]
+    # as a share of the measured values the white reference's error would pull the level down, where shapes do not fit
+    covariance = rig.data.covariance_without_tile(rig.data.kept)
     rest = covariance + columns @ columns.T
     emitting = ~rig.data.weights.is_excitation[rig.data.kept]
     height = np.abs(rig.y[emitting]).max() / np.maximum(own[:, emitting].max(axis=1), 1e-12)

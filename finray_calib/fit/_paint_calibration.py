@@ -4,11 +4,12 @@ The independent check is the same posterior by Markov chains. The non-fluorescen
 under which a fluorescent paint sends reflected *and* re-emitted light through a filter. With the emission f known from
 the laser, the re-emitted part of filter b is
 
-.. math:: \Phi_b = \frac{\int f T_b Q\,d\lambda}{\int E T_b Q\,d\lambda} \int_{380}^{\lambda_a} E\,d\lambda'
+.. math:: \Phi_b = \frac{\int f T_b Q\,d\lambda}{\int E T_b Q\,d\lambda}
+    \int_{380}^{\lambda_a} E\,\frac{\lambda'}{\lambda_L}\,d\lambda'
 
-where the paint is taken to absorb at all wavelengths from 380 nm to the foot of its emission as it does at the
-laser line (absorption of fluorescent paint is a flat, saturated plateau). That plateau is an assumption: one
-laser does not measure it, so half of the subtracted light is carried as standard uncertainty.
+where the paint is taken to absorb photons at all wavelengths from 380 nm to the foot of its emission as it does at the
+laser line :math:`\lambda_L` (absorption of fluorescent paint is a flat, saturated plateau). That plateau is an
+assumption: one laser does not measure it, so half of the subtracted light is carried as standard uncertainty.
 """
 
 from collections.abc import Mapping, Sequence
@@ -499,10 +500,11 @@ def fit_warnings(
             f"the model cannot explain the frames of filter{('s' if len(bad) > 1 else '')} {', '.join(bad)} "
             f"(posterior predictive p < {SMALLEST_P:g}), so the intervals are too narrow; check these frames"
         )
-    maxima = posterior.maxima.log_posterior
-    if len(maxima) > 1 and maxima[0] - maxima[1] < _CLOSE_MAXIMA_NATS:
-        modes = ", ".join(f"{theta[0]:.0f}" for theta in posterior.maxima.theta)
-        said.append(f"the bands do not decide between {len(maxima)} maxima of the posterior, with modes at {modes} nm")
+    maxima = posterior.maxima
+    close = maxima.theta[maxima.log_posterior > maxima.log_posterior[0] - _CLOSE_MAXIMA_NATS]
+    if len(close) > 1:
+        modes = ", ".join(f"{theta[0]:.0f}" for theta in close)
+        said.append(f"the bands do not decide between {len(close)} maxima of the posterior, with modes at {modes} nm")
     if not posterior.sampling.trusted:
         said.append(
             "the sampling cannot be trusted, because neither importance sampling nor moved draws nor emcee reached "
@@ -585,7 +587,8 @@ def _emitted(bands: BandSignals, band: int, channel: int, emission_per_nm: Float
     passed = transmissions(optics)[band] * optics.camera_response[channel](WAVELENGTH_NM)
     peak = int(emission_per_nm.argmax())
     foot = int(np.argmax(emission_per_nm[: peak + 1] >= FOOT_SHARE * emission_per_nm[peak]))
-    absorbed = float(np.trapezoid(lamp[: foot + 1], WAVELENGTH_NM[: foot + 1]))
+    photons = lamp * WAVELENGTH_NM / optics.laser.wavelength_nm  # f is what a unit of the laser's energy excites
+    absorbed = float(np.trapezoid(photons[: foot + 1], WAVELENGTH_NM[: foot + 1]))
     return float((passed * emission_per_nm).sum() / (passed * lamp).sum()) * absorbed
 
 

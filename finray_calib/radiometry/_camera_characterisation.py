@@ -362,9 +362,11 @@ def _saturation(levels: ChannelLevels, peak: int, black_level_dn: float, transfe
     well_e = charge_dn * gain.estimate
     well_sd_e = float(np.hypot(sd_dn * gain.estimate, charge_dn * gain.sd))
     threshold_e = sensitivity_threshold_e(gain, noise).estimate
-    # the gain is in well and threshold alike, and cancels
     threshold_sd_e = gain.estimate**2 * noise.estimate * noise.sd / (threshold_e - 0.5)
     dynamic_range = well_e / threshold_e
+    # the gain is in well and threshold alike, and cancels but for the 1/2 of the threshold
+    gain_rel = 0.5 / threshold_e * gain.sd / gain.estimate
+    range_sd_rel = float(np.sqrt((sd_dn / charge_dn) ** 2 + gain_rel**2 + (threshold_sd_e / threshold_e) ** 2))
     return _Saturation(
         saturation_dn=Estimate(
             estimate=saturation_dn,
@@ -376,9 +378,7 @@ def _saturation(levels: ChannelLevels, peak: int, black_level_dn: float, transfe
         ),
         full_well_e=normal_estimate(well_e, well_sd_e),
         snr_max=normal_estimate(float(np.sqrt(well_e)), 0.5 * well_sd_e / float(np.sqrt(well_e))),
-        dynamic_range=normal_estimate(
-            dynamic_range, dynamic_range * float(np.hypot(well_sd_e / well_e, threshold_sd_e / threshold_e))
-        ),
+        dynamic_range=normal_estimate(dynamic_range, dynamic_range * range_sd_rel),
     )
 
 

@@ -92,6 +92,32 @@ def test_frames_that_cannot_be_reduced_are_a_fault(tmp_path):
     assert "no darks: cannot be reduced" in history.reasons[0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "what"), [("white", "lamp behind filter 405"), ("laser white", "laser behind filter 450")]
+)
+def test_a_session_without_light_is_a_fault_and_the_others_are_charted(usual, tmp_path, kind, what):
+    """The frames of one light are dark frames less 1 DN, as of a lamp or laser that stayed off."""
+    folder = capture(tmp_path / "session")
+    session = read_session(folder)
+    read = {frame.file: read_frame_of(folder, frame) for frame in session.frames}
+    dark = {f.exposure_requested_s: read[f.file] for f in session.frames if f.frame_type == "dark"}
+
+    def unlit(frame):
+        return dark[frame.exposure_requested_s] - 1 if frame.frame_type == kind else read[frame.file]
+
+    found = session_facts("unlit", session, unlit)
+    assert f"{what}: the signal of the white tile is -" in found.fault
+    scattered = noise(12)
+    good = [replace(usual, name=f"s{i}", captured_utc=f"2026-01-{i + 1:02d}", sample={}) for i in range(12)]
+    good = [
+        replace(one, rig={name: value + extra for name, value in one.rig.items()})
+        for one, extra in zip(good, scattered, strict=True)
+    ]
+    history = session_history([*good, replace(found, captured_utc="2026-02-01")])
+    assert history.verdict == "OUT OF CONTROL"
+    assert "unlit: cannot be reduced" in history.reasons[-1]
+
+
 def made(values, *, paint="red", quantity="lamp level (%)", fading=None):
     """Return facts with one quantity of the rig."""
     return [

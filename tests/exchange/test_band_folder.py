@@ -124,6 +124,19 @@ def test_own_exposure_of_a_file_and_of_a_filter(tmp_path):
     np.testing.assert_allclose(after.fluorescence[2:], before.fluorescence[2:])
 
 
+def test_own_exposure_of_a_dark_frame(tmp_path):
+    folder = write_folder(tmp_path / "f", "Bayer RGGB")
+    (folder / "dark").mkdir()
+    for n in (1, 2):
+        tifffile.imwrite(folder / "dark" / f"{n}.tif", frame(np.zeros(3), "Bayer RGGB"))
+    edit(folder, "[files]", '[[darks]]\nexposure_s = 8.0\nfiles = "dark/*.tif"\n\n[files]')
+    with pytest.raises(ImportFormatError, match=r"was exposed for 0\.5 s, but the dark frames were exposed for 8 s"):
+        import_band_folder(folder)
+    with (folder / "bands.toml").open("a") as file:
+        file.write(f'files = {{ "dark/1.tif" = {EXPOSURE_S}, "dark/2.tif" = {EXPOSURE_S} }}\n')
+    import_band_folder(folder)
+
+
 def test_left_aligned_values(tmp_path):
     folder = write_folder(tmp_path / "f", "Bayer RGGB")
     before, _ = import_band_folder(folder)

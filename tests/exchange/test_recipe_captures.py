@@ -142,6 +142,16 @@ def test_edges_become_outlines_and_their_length_proves_the_scale(tmp_path):
     assert capture.indenter.radius_mm == 5.0
 
 
+def test_an_outline_on_one_line_is_left_out(tmp_path):
+    folder = write_edges(tmp_path / "f")
+    on_a_line = {f"rect{k}": [[30, 50], [60, 60], [90, 70]] for k in (1, 2)}
+    np.savez(folder / "sensor_images" / "10.000x10.000mm" / "1" / "label.npz", line_length=100, **on_a_line)
+    right = shipped("gs-sdk-edge").scale.model_copy(update={"mm_per_px": 0.1})
+    found = read_by_recipe(folder, shipped("gs-sdk-edge").model_copy(update={"scale": right}))
+    assert list(found.captures) == ["10.000x10.000mm/0"]
+    assert found.left_out["all corners of its outline lie on one line"] == ["10.000x10.000mm/1"]
+
+
 def test_balls_of_gs_sdk_have_the_diameter_of_the_catalog(tmp_path):
     found = read_by_recipe(write_balls(tmp_path / "f"), shipped("gs-sdk-balls"))
     assert list(found.captures) == ["6.000mm/0", "6.000mm/1"]
@@ -355,6 +365,7 @@ def test_what_a_recipe_and_a_folder_contradict_is_told(tmp_path, change, of_cont
         (PICTURES + "depth_uncertainty_mm = 0.1\n", "depth_uncertainty_mm is given without depth_mm"),
         (PICTURES + "extruded_mm = 5.0\n", 'extruded_mm is supported only for shape = "mesh", not for a ball'),
         (PRISM.replace("[scale]\nmm_per_px = 0.1\n", ""), "extruded_mm needs the outline of the contact in mm"),
+        (PRISM.replace("b = [[20, 10], [60, 20], [40, 50]]", "b = [[20, 10], [60, 20]]"), r"outline_px.*at least 3"),
         (PICTURES.replace("file = \"rest.png\"", "far_pixels = true\nrepeat_file = 'x'"), "repeat_file is given"),
     ],
 )  # fmt: skip

@@ -96,6 +96,24 @@ def test_uncertainties_stated_too_small_are_what_intervals_rest_on(usual):
     assert outcomes(OVERSURE, BandUncertainty())[0].sum() < usual[0].sum() - 4
 
 
+def test_a_poorly_known_white_reference_widens_the_level_and_does_not_move_it():
+    """One set of band values, with a tile known exactly and to 20 %: variances of independent errors add."""
+    curve, spectra = 0.004 * np.exp(-(((WAVELENGTH_NM - 590) / 30) ** 2)), learned_spectra()
+    data = stated_data(_known_rig(Rig(1, 5.0).optics), curve, 0.2, BandUncertainty())
+    y = data.y.ravel().copy()
+    y[data.kept] += band_errors(data, curve, 0.2, LN_BLOCKING_SD, np.random.default_rng(3))
+    levels = []
+    for tile in (0.0, 0.2):
+        covariance = data.covariance + tile**2 * np.outer(y, y)
+        stated = replace(data, y=y.reshape(data.y.shape), covariance=covariance, tile_uncertainty_rel=tile)
+        drawn = fit_spectrum(stated, spectra, LN_BLOCKING_SD, 4000, np.random.default_rng(4)).curves
+        levels.append(curve_quantities(drawn, WAVELENGTH_NM).energy_yield)
+    sure, poor = levels
+    assert np.median(poor) == pytest.approx(np.median(sure), rel=0.1)  # of an error of 20 %, half
+    # the tile's error is taken at one curve for all components, whose shapes differ: that loses a third of it
+    assert poor.std() / poor.mean() > 0.6 * np.hypot(0.2, sure.std() / sure.mean())
+
+
 @pytest.mark.parametrize("value", [0.0, -0.001, 0.3, float("nan")])
 def test_an_uncertainty_that_nobody_can_have_is_refused(value):
     with pytest.raises(FieldError, match="stray_light_rel"):

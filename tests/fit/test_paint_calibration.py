@@ -159,8 +159,10 @@ def test_saturated_bands_give_wider_intervals(bands, paint):
 
 
 def test_an_ambiguity_and_other_doubts_are_told(bands):
-    """Two maxima 1 nat apart, draws that no method trusts, a chain that disagrees."""
-    maxima = SimpleNamespace(log_posterior=np.array([10.0, 9.0]), theta=np.array([[606.0, 0], [561.0, 0]]))
+    """Two maxima 1 nat apart and a third that the bands exclude, untrusted draws, a chain that disagrees."""
+    maxima = SimpleNamespace(
+        log_posterior=np.array([10.0, 9.0, -9.0]), theta=np.array([[606.0, 0], [561.0, 0], [700.0, 0]])
+    )
     doubtful = SimpleNamespace(
         maxima=maxima, sampling=SimpleNamespace(trusted=False), share_below_laser=np.full(10, 0.07)
     )
@@ -175,7 +177,7 @@ def test_an_ambiguity_and_other_doubts_are_told(bands):
     ):
         assert any(words in line for line in said)
     fine = SimpleNamespace(
-        maxima=SimpleNamespace(log_posterior=np.array([10.0, 1.0]), theta=maxima.theta),
+        maxima=SimpleNamespace(log_posterior=np.array([10.0, 1.0]), theta=maxima.theta[:2]),
         sampling=SimpleNamespace(trusted=True),
         share_below_laser=np.zeros(10),
     )
@@ -292,6 +294,28 @@ def test_reflectance_without_fluorescence_holds_the_true_one(paint):
         for f, r in zip(paint.optics.filters, paint.reflectance, strict=True)
     ]
     assert inside == [True] * 8
+
+
+def test_a_photon_of_the_lamp_excites_as_one_of_the_laser_does(bands):
+    """Photons are counted: a paint that takes all up to where it emits, and reflects a tenth, has a reflectance of 0.1.
+
+    The excitation is a sum over lines of 1 nm, not the code's integral: both differ by half a line at the ends.
+    """
+    optics, excitation_nm = bands.optics, np.arange(380.0, 781.0)
+    emission_per_nm = 0.004 * np.exp(-(((WAVELENGTH_NM - 600) / 30) ** 2))
+    absorbing_nm = excitation_nm[excitation_nm < 600 - 30 * np.sqrt(np.log(10))]
+    photons = optics.lamp(absorbing_nm) * absorbing_nm  # of each line, in a common unit
+    of_laser = optics.laser.wavelength_nm  # of as much energy as the lamp has in a line of 1
+    emitted = emission_per_nm * photons.sum() / of_laser
+    glow = []
+    for band in optics.filters:
+        passed = filter_transmission(band, WAVELENGTH_NM) * np.array([c(WAVELENGTH_NM) for c in optics.camera_response])
+        glow.append(passed @ emitted / (passed @ optics.lamp(WAVELENGTH_NM)))
+    lit = bands.model_copy(update={"reflectance": 0.1 + np.array(glow)})
+    at_laser = Estimate(estimate=0.05, sd=0.001, low68=0.049, high68=0.051, low95=0.048, high95=0.052)
+    found = reflectance(lit, emission_per_nm, at_laser)
+    assert np.max(glow) > 0.2
+    assert [r.estimate for r in found if r is not at_laser] == pytest.approx([0.1] * 7, abs=0.004)
 
 
 def test_lost_filter_has_an_unknown_reflectance(bands):

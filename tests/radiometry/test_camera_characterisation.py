@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from data_schemas import (
 )
 from data_schemas.storage import read_record, write_record
 from finray_calib.radiometry import characterise_camera
+from finray_calib.radiometry._camera_characterisation import _saturation
+from finray_calib.radiometry._photon_transfer import normal_estimate
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
     DARK_CURRENT_E_PER_S,
@@ -85,6 +88,21 @@ def test_saturation_lies_between_the_levels_beside_it(found: CameraCharacterisat
         threshold_e = np.hypot(READ_NOISE_E, GAIN_E_PER_DN / np.sqrt(12)) + 0.5
         expected = c.full_well_e.estimate / threshold_e
         assert c.dynamic_range.estimate == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(("gain", "gain_sd"), [(0.5, 0.05), (2.0, 0.2)])
+def test_the_dynamic_range_is_as_uncertain_as_draws_of_what_it_is_made_of(gain: float, gain_sd: float) -> None:
+    """A gain known to 10 % is in well and threshold alike; the draws take nothing as linear."""
+    rng, count = np.random.default_rng(0), 100_000
+    levels = SimpleNamespace(lit=[SimpleNamespace(mean_dn=mean_dn) for mean_dn in (3000.0, 3900.0, 4000.0, 4090.0)])
+    transfer = SimpleNamespace(gain_e_per_dn=normal_estimate(gain, gain_sd), read_noise_dn=normal_estimate(2.0, 0.05))
+    found = _saturation(levels, 2, 64.0, transfer).dynamic_range
+    e_per_dn, noise_dn = rng.normal(gain, gain_sd, count), rng.normal(2.0, 0.05, count)
+    charge_dn = rng.uniform(3905.0, 4095.0, count) - 64.0  # as wide as from the level below to that above
+    drawn = charge_dn * e_per_dn / (np.sqrt(noise_dn**2 + 1.0 / 12.0) * e_per_dn + 0.5)
+    assert found is not None
+    # terms of second order, of a gain of 10 %
+    assert found.sd / found.estimate == pytest.approx(drawn.std() / drawn.mean(), rel=0.03)
 
 
 def test_lamp_and_linearity(found: CameraCharacterisation) -> None:
