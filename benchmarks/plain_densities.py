@@ -83,9 +83,10 @@ class DefaultDensity:
         self.emission = np.concatenate([self.in_band, rule.out_of_band[kept]], axis=1)
         self.leaked = np.concatenate([np.zeros_like(self.in_band), rule.leaked[kept]], axis=1)
         self.laser, self.leaked_laser = weights.reflected_laser[kept], weights.leaked_laser[kept]
-        self.leaked_white, self.y = weights.leaked_white[kept], data.y.ravel()[kept]
-        self.leak_sd, self.common = data.tolerances.blocking_sd[kept], data.common_rel[:, kept]
-        self.own_leaks = [(weights.band_index[kept] == band, at) for band, at in posterior.own_leaks.items()]
+        self.leaked_white, self.y, self.kept = weights.leaked_white, data.y.ravel()[kept], kept
+        self.leak_sd, self.common = data.tolerances.blocking_sd, data.common_rel[:, kept]
+        self.level_share = weights.level_share
+        self.own_leaks = [(weights.band_index == band, at) for band, at in posterior.own_leaks.items()]
         u = posterior.imperfections
         self.covariance = data.covariance_without_tile(kept) + u @ u.T
         # bands that share no discrepancy in the fit (e^-8 of its variance) share none here
@@ -100,10 +101,11 @@ class DefaultDensity:
         own_leak = np.tile(np.exp(self.leak_sd**2 / 2), (len(theta), 1))  # a log-normal's mean lies above its median
         for rows, at in self.own_leaks:
             own_leak[:, rows] = np.exp(self.leak_sd[rows] * theta[:, at, None])
-        more = np.exp(ln_blocking) * own_leak - 1
+        every = np.exp(ln_blocking) * own_leak - 1
+        more, white = every[:, self.kept], 1 + every * self.leaked_white
         mu = curve @ self.emission.T + more * (curve @ self.leaked.T)
         mu += np.exp(ln_laser) * (self.laser + more * self.leaked_laser)
-        mu /= 1 + more * self.leaked_white
+        mu /= white[:, self.kept] * (self.level_share / white).sum(axis=1, keepdims=True)
         scaled = curve[:, : self.nodes.size] + self.discrepancy.floor_rel * np.exp(ln_peak)
         response = self.in_band * scaled[:, None, :]
         fwhm = np.exp(ln_fwhm)

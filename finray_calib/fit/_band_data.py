@@ -99,7 +99,7 @@ def band_values(
     more = more if more.ndim == 2 else np.broadcast_to(more, len(curves))[:, None]
     leaked = curves @ weights.leaked_emission.T + reflectance * weights.leaked_laser
     mu = curves @ weights.emission.T + reflectance * weights.reflected_laser + more * leaked
-    return np.asarray(mu / (1 + more * weights.leaked_white))
+    return np.asarray(mu / weights.divisor(more))
 
 
 def calibration_columns(y: FloatArray, weights: EmissionWeights, band_calibration_rel: float) -> FloatArray:
@@ -124,12 +124,10 @@ def tolerance_columns(reference: Reference, weights: EmissionWeights, tolerances
     """
     curve, reflected_laser = reference.curve, reference.reflected_laser
     mu = band_values(curve[None], np.array([reflected_laser]), weights, reference.leak[None])[0]
-    leaked = weights.leaked_emission @ curve + reflected_laser * weights.leaked_laser
-    white = 1 + (reference.leak - 1) * weights.leaked_white
-    slope = reference.leak * (leaked - mu * weights.leaked_white) / white  # d mu / d ln(leak of the row's filter)
-    slope[np.isin(weights.band_index, reference.sampled_leaks)] = 0.0
-    sd = tolerances.blocking_sd
-    columns = [_per_band(sd * slope, weights)]
+    slopes = leak_slopes(curve, reflected_laser, mu, weights, reference.leak)
+    slopes[:, list(reference.sampled_leaks)] = 0.0
+    sd = band_leak_sd(tolerances.blocking_sd, weights)
+    columns = [sd * slopes]
     excitation = int(weights.band_index[np.argmax(weights.is_excitation)])
     for kind in range(2):
         own = tolerances.emission_shift[kind] @ curve + reflected_laser * tolerances.laser_shift[kind]
@@ -137,8 +135,34 @@ def tolerance_columns(reference: Reference, weights: EmissionWeights, tolerances
         moved[:, excitation] -= tolerances.level_shift[kind] * mu
         columns.append(moved)
     # the leak is log-normal: what is left of it beside its mean and its linear part has this standard deviation
-    columns.append(_per_band(sd**2 / np.sqrt(2) * slope, weights))
+    columns.append(sd**2 / np.sqrt(2) * slopes)
     return np.concatenate(columns, axis=1)
+
+
+def leak_slopes(
+    curve: FloatArray, reflected_laser: float, mu: FloatArray, weights: EmissionWeights, leak: FloatArray
+) -> FloatArray:
+    """Return d mu / d ln(leak) of each filter, (N, B): the excitation filter's moves all values, by the laser's level.
+
+    Parameters
+    ----------
+    curve, reflected_laser
+        Emission (L,), nm^-1, and reflectance at the laser.
+    mu
+        (N,) their band values.
+    weights
+        Weights of the rig.
+    leak
+        (N,) multiplier of each row's nominal leak.
+    """
+    leaked = weights.leaked_emission @ curve + reflected_laser * weights.leaked_laser
+    own = _per_band(leak * leaked / weights.divisor(leak - 1), weights)
+    return np.asarray(own - mu[:, None] * weights.divisor_slopes(leak))
+
+
+def band_leak_sd(leak_sd: FloatArray, weights: EmissionWeights) -> FloatArray:
+    """Return the standard deviation of ln(leak) of each filter, (B,), from that of each row's."""
+    return leak_sd[np.searchsorted(weights.band_index, np.arange(weights.bands))]
 
 
 def decisive_leaks(imperfections: FloatArray, rest: FloatArray, bands: int) -> tuple[int, ...]:

@@ -4,13 +4,14 @@ A decision in the spirit of ISO 11843: the critical value is what simulated blan
 the yield that exceeds it with 95 %. A blank is the session's own rig with a sample that reflects as this one does and
 emits nothing,
 
-.. math:: y = \frac{\rho (s + (m - 1) l)}{1 + (m - 1) w} + \rho A t + U k + e,
+.. math:: y = \frac{\rho (s + (m - 1) l)}{(1 + (m - 1) w)\, V(m_e)} + \rho A t + U k + e,
     \quad \ln m_b = \sigma z_0 + \sigma_b z_b
 
 with rho the reflectance at the laser, s and l the reflected and the leaked laser, w the leak of white, m the multiplier
-of each filter's leak (log-normal, in part common to all filters), t stray light that the laser makes, U the calibration
-and the filters' tolerances, e the noise. Filters below the laser see no emission and are left out. The statistic is the
-largest over many shapes f of emission of the generalised least squares
+of each filter's leak (log-normal, in part common to all filters), V the laser's level over its nominal one with the
+leak of the filter that passes it, t stray light that the laser makes, U the calibration and the filters' tolerances, e
+the noise. Filters below the laser see no emission and are left out. The statistic is the largest over many shapes f of
+emission of the generalised least squares
 
 .. math:: t_f = a_f / \sigma(a_f), \qquad y = a_f A f + \rho \, E[y/\rho] + \epsilon
 
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import BandSignals, BandUncertainty, EmissionDetection
-from finray_calib.fit._band_data import BandData
+from finray_calib.fit._band_data import BandData, band_leak_sd, band_values, leak_slopes
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import family_named
 
@@ -157,19 +158,19 @@ def blank_model(bands: BandSignals, data: BandData, ln_blocking_sd: float) -> Bl
 
     A log-normal leak has mean exp(s^2 / 2); two leaks m_i, m_j have the covariance E[m_i] E[m_j] (exp(c_ij) - 1) with
     c_ij that of their logarithms: the common one, and the own one within a filter. Values are linear in m but for the
-    leak of white, which is taken to first order at its mean.
+    leak of white, in the band and in the laser's level, which is taken to first order at its mean.
     """
     weights, centers = data.weights, np.array([f.center_nm for f in bands.optics.filters])
     seen = bands.at_excitation() | (centers > weights.laser_nm)
     rows = data.kept[seen[weights.band_index[data.kept]]]
-    leaked, reflected, band = weights.leaked_laser[rows], weights.reflected_laser[rows], weights.band_index[rows]
-    leak_mean = np.exp(0.5 * (ln_blocking_sd**2 + data.leak_sd[rows] ** 2))
-    white = 1 + (leak_mean - 1) * weights.leaked_white[rows]
-    per_reflectance = (reflected + (leak_mean - 1) * leaked) / white
+    leak_mean = np.exp(0.5 * (ln_blocking_sd**2 + data.leak_sd**2))
+    dark = np.zeros(weights.wavelength_nm.size)
+    reflected = band_values(dark[None], np.ones(1), weights, leak_mean[None])[0]
+    per_reflectance = reflected[rows]
     reflectance = _reflectance(data, rows, per_reflectance)
-    spread = reflectance * leak_mean * (leaked - per_reflectance * weights.leaked_white[rows]) / white
-    ln_covariance = ln_blocking_sd**2 + np.equal.outer(band, band) * np.outer(data.leak_sd[rows], data.leak_sd[rows])
-    covariance = data.covariance_without_tile(rows) + np.outer(spread, spread) * np.expm1(ln_covariance)
+    spread = reflectance * leak_slopes(dark, 1.0, reflected, weights, leak_mean)[rows]
+    ln_covariance = ln_blocking_sd**2 + np.diag(band_leak_sd(data.leak_sd, weights) ** 2)
+    covariance = data.covariance_without_tile(rows) + spread @ np.expm1(ln_covariance) @ spread.T
     mean = reflectance * per_reflectance
     usual_rel, stated_rel = BandUncertainty().stray_light_rel, bands.optics.band_uncertainty.stray_light_rel
     stray_per_nm = STRAY_PER_NM * max(stated_rel / usual_rel, 1.0)
@@ -182,11 +183,11 @@ def draw_blanks(
 ) -> Floats:
     """Return the band values (number, K) of simulated blanks; leaks are log-normal as they are believed to be."""
     rows, weights = blank.rows, data.weights
-    own = rng.standard_normal((number, weights.bands))[:, weights.band_index[rows]] * data.leak_sd[rows]
-    leak = np.exp(ln_blocking_sd * rng.standard_normal((number, 1)) + own)
+    own = rng.standard_normal((number, weights.bands))[:, weights.band_index] * data.leak_sd
+    more = np.exp(ln_blocking_sd * rng.standard_normal((number, 1)) + own) - 1
     rho = blank.reflectance_at_laser
-    reflected = weights.reflected_laser[rows] + (leak - 1) * weights.leaked_laser[rows]
-    values = rho * reflected / (1 + (leak - 1) * weights.leaked_white[rows])
+    reflected = weights.reflected_laser + more * weights.leaked_laser
+    values = (rho * reflected / weights.divisor(more))[:, rows]
     columns = _imperfections(data, rows, blank.mean, rho, blank.stray_per_nm)
     values += rng.standard_normal((number, columns.shape[1])) @ columns.T
     noise = np.linalg.cholesky(data.covariance_without_tile(rows))

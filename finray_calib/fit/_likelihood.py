@@ -215,9 +215,13 @@ def _problem(posterior: LogPosterior) -> Problem:
         data.y.ravel()[kept],
         weights.reflected_laser[kept],
     )
-    rows["leaked_laser"], rows["leaked_white"] = weights.leaked_laser[kept], weights.leaked_white[kept]
-    rows["leak_mean"], rows["leak_sd"] = data.leak_mean[kept], data.leak_sd[kept]
-    rows["leak_at"] = [posterior.own_leaks.get(band, 0) for band in rows["band"]]
+    lit = np.flatnonzero(weights.level_share)
+    level = np.zeros(lit.size, ROW)
+    level["band"], level["laser"] = weights.band_index[lit], weights.level_share[lit]
+    for table, of in ((rows, kept), (level, lit)):
+        table["leaked_laser"], table["leaked_white"] = weights.leaked_laser[of], weights.leaked_white[of]
+        table["leak_mean"], table["leak_sd"] = data.leak_mean[of], data.leak_sd[of]
+        table["leak_at"] = [posterior.own_leaks.get(band, 0) for band in table["band"]]
     for name in NORMAL.names or ():
         normals[name] = getattr(prior, name)
     return Problem(
@@ -227,6 +231,7 @@ def _problem(posterior: LogPosterior) -> Problem:
         table=skew_shape_table(),
         points_nm=np.concatenate([nodes, rule.grid_nm]),
         rows=rows,
+        level=level,
         weights=np.concatenate([rule.in_band, rule.out_of_band, rule.leaked], axis=1)[kept],
         covariance=np.stack([data.covariance_without_tile(kept) + u @ u.T, common.T @ common]),
         kernel=discrepancy.smooth_kernel(nodes, nodes)

@@ -29,7 +29,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from finray_calib.fit._band_data import BandData, Reference, tolerance_columns
+from finray_calib.fit._band_data import BandData, Reference, band_leak_sd, leak_slopes, tolerance_columns
 
 Floats = NDArray[np.float64]
 
@@ -258,15 +258,19 @@ class Rig:
 
     def _mean_leak(self) -> tuple[Floats, Floats]:
         more = self.leak_factor * self.data.leak_mean - 1
-        return more, 1 + more * self.data.weights.leaked_white
+        return more, self.data.weights.divisor(more)
 
-    def at(self, curve: Floats, reflectance: float) -> "Rig":
-        """Return the rig whose errors common to all values are shares of those of this paint."""
-        more, white = self._mean_leak()
+    def _values(self, curve: Floats, reflectance: float) -> Floats:
+        """Return the values of a paint at the mean leak, (N,)."""
+        more, divisor = self._mean_leak()
         w = self.data.weights
         nominal = w.emission @ curve + reflectance * w.reflected_laser
         leaked = w.leaked_emission @ curve + reflectance * w.leaked_laser
-        return replace(self, data=self.data.at((nominal + more * leaked) / white))
+        return np.asarray((nominal + more * leaked) / divisor)
+
+    def at(self, curve: Floats, reflectance: float) -> "Rig":
+        """Return the rig whose errors common to all values are shares of those of this paint."""
+        return replace(self, data=self.data.at(self._values(curve, reflectance)))
 
     @property
     def laser_alone(self) -> float:
@@ -279,20 +283,16 @@ class Rig:
     def columns(self, curve: Floats, reflectance: float) -> Floats:
         """Return the columns of what is uncertain beside noise and paint, calibration first, (K, M)."""
         data, w, kept = self.data, self.data.weights, self.data.kept
-        more, white = self._mean_leak()
         found = [data.imperfections()]
         if data.lamp_response_rel is not None:
             found.append((data.lamp_response_rel * data.level)[kept, None])
-        mu = (w.emission @ curve + reflectance * w.reflected_laser) / white
         if data.tolerances is not None:
-            leak = more + 1
+            leak = self.leak_factor * data.leak_mean
             every = tolerance_columns(Reference(curve, reflectance, leak), w, data.tolerances)
             found.append(every[kept, w.bands : 3 * w.bands])
-            leaked = w.leaked_emission @ curve + reflectance * w.leaked_laser
-            slope = (leak * (leaked - mu * w.leaked_white) / white)[kept]
-            band, sd = w.band_index[kept], data.leak_sd[kept]
-            ln = self.ln_blocking_sd**2 + np.equal.outer(band, band) * np.outer(sd, sd)
-            roots, vectors = np.linalg.eigh(np.outer(slope, slope) * np.expm1(ln))
+            slopes = leak_slopes(curve, reflectance, self._values(curve, reflectance), w, leak)[kept]
+            ln = self.ln_blocking_sd**2 + np.diag(band_leak_sd(data.leak_sd, w) ** 2)
+            roots, vectors = np.linalg.eigh(slopes @ np.expm1(ln) @ slopes.T)
             large = roots > 1e-12 * max(float(roots[-1]), np.finfo(float).tiny)
             found.append(vectors[:, large] * np.sqrt(roots[large]))
         return np.concatenate(found, axis=1)

@@ -314,9 +314,9 @@ def pixel_problem(region: RegionFit, weights: EmissionWeights, spread: PixelSpre
     emitted = (in_band * at_nodes[weights.band_index]).sum(axis=1)
     emitted += out_of_band @ family.curves(theta[None, :SHAPES], grid_nm)[0]
     laser = weights.reflected_laser + more * weights.leaked_laser
-    white = 1 + more * weights.leaked_white
-    factor = region.signal.ravel() * white / (emitted + theta[4] * laser)
-    scale = np.nan_to_num(factor) / white
+    divisor = weights.divisor(more)
+    factor = region.signal.ravel() * divisor / (emitted + theta[4] * laser)
+    scale = np.nan_to_num(factor) / divisor
     prior_sd = np.append(np.hypot(spread.of(family), region.theta_sd), max(_SMALLEST_REFLECTANCE_SD, theta[4]))
     own, yield_nm = family.own[0], _yield_weights(grid_nm, weights.laser_nm)
 

@@ -52,6 +52,7 @@ class Problem(NamedTuple):
     table: FloatArray
     points_nm: FloatArray  # (B Q + G,) the bands' nodes, band after band, then the grid
     rows: NDArray[np.void]  # (K,) of ROW
+    level: NDArray[np.void]  # (C,) of ROW: the channels of the laser's level, each with its share as laser
     weights: FloatArray  # (K, Q + 2 G) at the nodes of the row's band, then on the grid: out of band, leaked
     covariance: FloatArray  # (2, K, K) measurement and imperfections; relative one of what is common to all values
     kernel: FloatArray  # (B Q, B Q) smooth part of the discrepancy between all nodes
@@ -104,6 +105,13 @@ def scratch(rows: int, points: int) -> Work:
 
 
 @compiled_inside
+def _more(row: NDArray[np.void], theta: FloatArray, blocking: float) -> float:
+    """Return the leak of a row's filter over the nominal one, less 1."""
+    own = math.exp(row["leak_sd"] * theta[row["leak_at"]]) if row["leak_at"] > 0 else row["leak_mean"]
+    return float(blocking * own - 1)
+
+
+@compiled_inside
 def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     """Fill w.row[MU] with the band values of one parameter vector, and the curve at all points."""
     constants(p.family, theta, p.table, w.c)
@@ -112,12 +120,14 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
     blocking = math.exp(theta[p.shapes + 1]) if p.has_blocking else 1.0
     # slices: of an index that is a sum the compiler cannot tell that it is not negative, and takes value after value
     curve = w.curve[0, len(p.kernel) :]
-    grid = len(curve)
+    grid, level = len(curve), 0.0
+    for i in range(len(p.level)):
+        row = p.level[i]
+        level += row["laser"] / (1 + _more(row, theta, blocking) * row["leaked_white"])
     for i in range(len(p.rows)):
         row = p.rows[i]
         first, emitted, leaked = row["band"] * BAND_NODES, 0.0, 0.0
-        own = math.exp(row["leak_sd"] * theta[row["leak_at"]]) if row["leak_at"] > 0 else row["leak_mean"]
-        more = blocking * own - 1
+        more = _more(row, theta, blocking)
         for q in range(BAND_NODES):
             emitted += p.weights[i, q] * w.curve[0, first + q]
         out_of_band, leaks = p.weights[i, BAND_NODES : BAND_NODES + grid], p.weights[i, BAND_NODES + grid :]
@@ -125,7 +135,7 @@ def predict(p: Problem, theta: FloatArray, w: Work) -> None:
             emitted += out_of_band[g] * curve[g]
             leaked += leaks[g] * curve[g]
         laser = row["laser"] + more * row["leaked_laser"]
-        w.row[MU, i] = (emitted + more * leaked + rho * laser) / (1 + more * row["leaked_white"])
+        w.row[MU, i] = (emitted + more * leaked + rho * laser) / ((1 + more * row["leaked_white"]) * level)
 
 
 @compiled_inside

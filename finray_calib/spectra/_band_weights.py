@@ -39,9 +39,12 @@ class EmissionWeights:
     also kept apart, because its blocking is known poorly: with m times the nominal leak
 
         y = [(emission + (m - 1) leaked_emission) @ f + rho (reflected_laser + (m - 1) leaked_laser)]
-            / [1 + (m - 1) leaked_white]
+            / [1 + (m - 1) leaked_white] / V(m)
+        V(m) = sum level_share / [1 + (m - 1) leaked_white]
 
-    Rows are band-major: band 0 channels R, G, B, then band 1, and so on.
+    V is the level of the laser over its nominal one, with the excitation filter's m: the lamp's light that leaks
+    through that filter adds to the white signal to which the laser is referred, and so moves all values. Rows are
+    band-major: band 0 channels R, G, B, then band 1, and so on.
 
     Attributes
     ----------
@@ -54,6 +57,8 @@ class EmissionWeights:
     leaked_emission, leaked_laser, leaked_white
         (N, L), (N,), (N,) share of the leak in the emission weights, in the reflected laser and in the white
         signal under the lamp; no laser leaks in the excitation band, it passes.
+    level_share
+        (N,) share of each row in the level of the laser (sum 1), 0 outside the excitation band.
     is_excitation
         (N,) True for the rows of the excitation band.
     band_index
@@ -68,6 +73,7 @@ class EmissionWeights:
     leaked_emission: FloatArray
     leaked_laser: FloatArray
     leaked_white: FloatArray
+    level_share: FloatArray
     is_excitation: NDArray[np.bool_]
     band_index: NDArray[np.int64]
     laser_nm: float
@@ -75,7 +81,7 @@ class EmissionWeights:
     def __post_init__(self) -> None:
         rows, length = self.emission.shape
         shapes: dict[str, tuple[int, ...]] = {"emission": (rows, length), "leaked_emission": (rows, length)}
-        shapes |= dict.fromkeys(("reflected_laser", "leaked_laser", "leaked_white"), (rows,))
+        shapes |= dict.fromkeys(("reflected_laser", "leaked_laser", "leaked_white", "level_share"), (rows,))
         shapes |= {"wavelength_nm": (length,), "is_excitation": (rows,), "band_index": (rows,)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
@@ -88,6 +94,32 @@ class EmissionWeights:
     def bands(self) -> int:
         """Number of bands."""
         return int(self.band_index[-1]) + 1
+
+    def divisor(self, more: FloatArray) -> FloatArray:
+        """Return what divides the values, (..., N): white under the lamp times V, over the nominal ones.
+
+        Parameters
+        ----------
+        more
+            m - 1 of each row's filter, (..., N), or of all filters, (..., 1).
+        """
+        white = 1 + more * self.leaked_white
+        return np.asarray(white * (self.level_share / white).sum(axis=-1, keepdims=True))
+
+    def divisor_slopes(self, leak: FloatArray) -> FloatArray:
+        """Return d ln(divisor) / d ln(m) of each filter's leak, (N, B).
+
+        Parameters
+        ----------
+        leak
+            (N,) m of each row's filter.
+        """
+        white = 1 + (leak - 1) * self.leaked_white
+        slope = leak * self.leaked_white / white
+        level = self.level_share / white
+        slopes = slope[:, None] * (self.band_index[:, None] == np.arange(self.bands))
+        slopes[:, self.band_index[np.argmax(self.is_excitation)]] -= float(level @ slope / level.sum())
+        return np.asarray(slopes)
 
 
 class FilterSet(NamedTuple):
@@ -172,6 +204,9 @@ def emission_weights(
     scale = 1.0 / (white_signal * visible)
     laser_nm = float(wavelength @ (line * quadrature))
     above = wavelength >= laser_nm
+    reflected_laser = (passed @ line) * scale
+    level_share = np.zeros_like(reflected_laser)
+    level_share[excitation_band] = share * (passed @ (white * line))[excitation_band] * scale[excitation_band]
     bands = np.repeat(np.arange(len(transmission)), len(camera))
     floor = np.broadcast_to(np.asarray(filters.leak, dtype=np.float64), len(transmission)).copy()
     leaked = floor[:, None, None] * camera * quadrature
@@ -180,10 +215,11 @@ def emission_weights(
     return EmissionWeights(
         wavelength_nm=wavelength,
         emission=(passed * above * scale[..., None]).reshape(bands.size, -1),
-        reflected_laser=((passed @ line) * scale).ravel(),
+        reflected_laser=reflected_laser.ravel(),
         leaked_emission=(leaked * above * scale[..., None]).reshape(bands.size, -1),
         leaked_laser=(leaked_laser * scale).ravel(),
         leaked_white=((leaked @ (white * light)) / white_signal).ravel(),
+        level_share=level_share.ravel(),
         is_excitation=bands == excitation_band,
         band_index=bands,
         laser_nm=laser_nm,

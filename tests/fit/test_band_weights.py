@@ -24,10 +24,8 @@ def expected_value(rig, band, channel, theta):
     def passed(b, x, more=True):
         return rig.transmission(b, x) + np.expm1(theta[5]) * rig.leak * more
 
-    def white(b, c, more=True):
-        return integral(
-            lambda x: rig.white(x) * rig.lamp(x) * passed(b, x, more) * rig.response(c, x), rig.center_nm[b]
-        )
+    def white(b, c):
+        return integral(lambda x: rig.white(x) * rig.lamp(x) * passed(b, x) * rig.response(c, x), rig.center_nm[b])
 
     def under_laser(function, b, c):
         leaks = b != rig.excitation
@@ -35,8 +33,8 @@ def expected_value(rig, band, channel, theta):
             lambda x: function(x) * rig.laser(x) / laser_scale * passed(b, x, leaks) * rig.response(c, x), 450.0
         )
 
-    visible = sum(  # V holds the nominal blocking
-        share * under_laser(rig.white, rig.excitation, c) / white(rig.excitation, c, more=False)
+    visible = sum(
+        share * under_laser(rig.white, rig.excitation, c) / white(rig.excitation, c)
         for c, share in enumerate(rig.channel_weights)
     )
     center = rig.center_nm[band]

@@ -42,8 +42,11 @@ KNOWN = EmissionPrior(
 
 
 def exact_filters(optics, **only):
-    """Return the optics with filters of exact centre and width, some of them changed (f500=...)."""
-    exact = {"center_uncertainty_nm": 0.0, "fwhm_uncertainty_nm": 0.0}
+    """Return the optics with filters of exact centre and width, some of them changed (f500=...).
+
+    The laser's own filter does not leak: its leak would move all bands, and no closed form knows that.
+    """
+    exact, only = {"center_uncertainty_nm": 0.0, "fwhm_uncertainty_nm": 0.0}, {"f450": {"blocking_od": 9.0}} | only
     return optics.model_copy(
         update={"filters": tuple(f.model_copy(update=exact | only.get(f"f{f.name}", {})) for f in optics.filters)}
     )
