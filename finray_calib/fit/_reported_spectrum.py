@@ -159,9 +159,7 @@ def draw_spectra(fitted: ScoredSpectra, draws: int, rng: np.random.Generator) ->
     """
     rig, scored, columns, data = fitted.rig, fitted.scored, fitted.columns, fitted.rig.data
     picked = rng.choice(scored.chosen.size, draws, p=scored.weight)
-    curves, both, paint = np.empty((draws, rig.emission.shape[1])), np.empty((draws, 2)), np.empty((draws, rig.y.size))
-    for rows in np.array_split(np.argsort(picked), -(-draws // _AT_ONCE)):
-        curves[rows], both[rows], paint[rows] = _cut_draws(fitted, picked[rows], rng)
+    curves, both, paint = draw_components(fitted, picked, rng)
     predicted = fitted.bands[scored.chosen[picked]] * both[:, :1] + rig.laser * both[:, 1:]
     # what is uncertain beside noise and paint, given their sum
     pulls = rng.standard_normal((draws, columns.shape[1]))
@@ -178,6 +176,27 @@ def draw_spectra(fitted: ScoredSpectra, draws: int, rng: np.random.Generator) ->
         components=picked,
         band_draws=paint,
     )
+
+
+def draw_components(
+    fitted: ScoredSpectra, picked: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
+    """Return one draw of each component picked: curve (n, L), height and reflectance (n, 2), bands (n, K).
+
+    Parameters
+    ----------
+    fitted
+        The mixture.
+    picked
+        (n,) scored components, each as often as it is to be drawn.
+    rng
+        Source of all randomness.
+    """
+    rig, draws = fitted.rig, picked.size
+    curves, both, paint = np.empty((draws, rig.emission.shape[1])), np.empty((draws, 2)), np.empty((draws, rig.y.size))
+    for rows in np.array_split(np.argsort(picked), max(1, -(-draws // _AT_ONCE))):
+        curves[rows], both[rows], paint[rows] = _cut_draws(fitted, picked[rows], rng)
+    return curves, both, paint
 
 
 def _cut_draws(
@@ -333,16 +352,16 @@ def _of_family(posterior: EmissionPosterior) -> SpectrumPosterior:
 
 def _conserving(title: str, found: SpectrumPosterior, data: BandData) -> ReportedSpectrum:
     """Leave out draws that emit more photons than are absorbed; fill up by repeating what is left in order."""
-    good = _conserves(found, data)
+    good = conserves(found.curves, found.reflectance_at_laser, data)
     kept = conserving_draws(found, data)
     conserving = int(good.sum()) >= min(FEWEST_CONSERVING, good.size)
     return ReportedSpectrum(title, kept, data.weights.wavelength_nm, float(1 - good.mean()), conserving)
 
 
-def _conserves(found: SpectrumPosterior, data: BandData) -> NDArray[np.bool_]:
-    """Return which draws (n,) emit no more photons than are absorbed."""
-    emitted = photon_yield(found.curves, data.weights.wavelength_nm, data.weights.laser_nm)
-    return np.asarray(emitted <= 1 - found.reflectance_at_laser)
+def conserves(curves: Floats, reflectance: Floats, data: BandData) -> NDArray[np.bool_]:
+    """Return which of curves (n, L) with reflectances (n,) emit no more photons than are absorbed."""
+    emitted = photon_yield(curves, data.weights.wavelength_nm, data.weights.laser_nm)
+    return np.asarray(emitted <= 1 - reflectance)
 
 
 def conserving_draws(found: SpectrumPosterior, data: BandData) -> SpectrumPosterior:
@@ -355,7 +374,7 @@ def conserving_draws(found: SpectrumPosterior, data: BandData) -> SpectrumPoster
     data
         Band values of the region.
     """
-    good = _conserves(found, data)
+    good = conserves(found.curves, found.reflectance_at_laser, data)
     kept = np.flatnonzero(good)
     if kept.size == good.size or kept.size < min(FEWEST_CONSERVING, good.size):
         return found

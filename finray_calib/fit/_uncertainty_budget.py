@@ -22,12 +22,15 @@ The rest is what no measurement with these filters would know: the prior. In a l
 departure of a paint from the shapes that were learned is one of them (model discrepancy), taken for each component of
 the posterior.
 
+Large errors move weight to components that the posterior hardly holds. These are drawn too, and w_c(y) is their
+evidence, not the share of draws that met them; a component counts as far as its draws conserve energy.
+
 Limits: N and the height that scales a departure are those of the bands which were measured, and all components share
 one gain. Where sources that move the weights make more than all of the variance together, they are reduced in
 proportion, so that the rest is never below zero.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -40,9 +43,12 @@ from finray_calib.fit._band_data import BandData, band_data
 from finray_calib.fit._measured_spectra import ScoredSpectra, height_prior, learned_spectra, scored_components
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.fit._reported_spectrum import (
+    FEWEST_CONSERVING,
     MEASURED_SPECTRA_TITLE,
     SpectrumPosterior,
+    conserves,
     conserving_draws,
+    draw_components,
     draw_spectra,
 )
 from finray_calib.spectra import curve_quantities, extrapolated_shares
@@ -51,8 +57,11 @@ Floats = NDArray[np.float64]
 
 BUDGETED: Final = ("mode_nm", "fwhm_nm", "peak_per_nm", "energy_yield", "reflectance_at_laser", "stokes_shift_nm")
 DRAWS: Final = 20_000
-"""Components that few draws meet decide what large errors do: between seeds a share scatters by some 0.02 (0.06 with
-4,000 draws)."""
+"""Of the posterior."""
+_LEAST_DRAWS: Final = 20
+_LEAST_WEIGHT: Final = 1e-7
+"""Components that hardly any draw meets decide what large errors do, since these move weight to them: each above this
+weight is drawn so often at least, and counts by its weight, not by its draws."""
 _SHIFTS: Final = 2000
 """Errors drawn of each source, moved and scaled to mean zero and unit covariance: a linear model has no scatter."""
 _SAME_SD: Final = 0.25
@@ -108,6 +117,28 @@ class UncertaintySource:
     root: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class ComponentDraws:
+    """Draws of the posterior in which a component may be met more often than its weight asks for.
+
+    Attributes
+    ----------
+    values
+        (n, Q) quantities.
+    bands
+        (n, K) values of the usable bands that the paint gives without any error.
+    component
+        (n,) component of each.
+    weight
+        (n,) of each; they add up to 1.
+    """
+
+    values: Floats
+    bands: Floats
+    component: NDArray[np.int64]
+    weight: Floats
+
+
 def uncertainty_budget(bands: BandSignals, paint: PaintCalibration, seed: int = 0) -> tuple[BudgetRow, ...]:
     r"""Return the budget of a fitted paint, by quantity and source, whose shares add up to 1 for each quantity.
 
@@ -144,11 +175,12 @@ def _budget(
 ) -> tuple[BudgetRow, ...]:
     """Return the budget."""
     fitted = scored_components(data, learned_spectra(), EmissionPrior().ln_blocking_sd)
-    drawn = conserving_draws(draw_spectra(fitted, DRAWS, rng), data)
+    raw = draw_spectra(fitted, DRAWS, rng)
+    drawn = conserving_draws(raw, data)
     quantities = quantity_draws(drawn.curves, drawn.reflectance_at_laser, data)
     _require_same(quantities, paint)
     sources = budget_sources(bands, data, fitted)
-    variance, made = source_shares(np.stack(list(quantities.values()), axis=1), drawn, fitted, sources)
+    variance, made = source_shares(component_draws(raw, fitted, data, rng), fitted, sources)
     shares = {name: (float(variance[i]), made[:, i]) for i, name in enumerate(quantities)}
     departures = _departure_variances(drawn, fitted, rng)
     rows = [
@@ -169,6 +201,36 @@ def quantity_draws(curves: Floats, reflectance: Floats, data: BandData) -> dict[
         "energy_yield": found.energy_yield,
         "reflectance_at_laser": reflectance,
     }
+
+
+def component_draws(
+    drawn: SpectrumPosterior, fitted: ScoredSpectra, data: BandData, rng: np.random.Generator
+) -> ComponentDraws:
+    """Return draws of the posterior and more of its rare components, those left out that emit too many photons.
+
+    Parameters
+    ----------
+    drawn, fitted
+        Draws of the posterior, with those that emit too many photons, and the posterior.
+    data
+        Band values of the region.
+    rng
+        Source of all randomness.
+    """
+    weight = fitted.scored.weight
+    met = np.bincount(drawn.components, minlength=weight.size)
+    more = np.where(weight > _LEAST_WEIGHT, np.maximum(_LEAST_DRAWS - met, 0), 0)
+    rare = np.repeat(np.arange(weight.size), more)
+    curves, both, bands = draw_components(fitted, rare, rng)
+    curves, bands = np.concatenate([drawn.curves, curves]), np.concatenate([drawn.band_draws, bands])
+    reflectance = np.concatenate([drawn.reflectance_at_laser, both[:, 1]])
+    component = np.concatenate([drawn.components, rare])
+    good, posterior = conserves(curves, reflectance, data), drawn.components.size
+    if good[:posterior].sum() < min(FEWEST_CONSERVING, posterior):
+        good[:] = True
+    share = (weight / np.maximum(met + more, 1))[component[good]]
+    values = quantity_draws(curves[good], reflectance[good], data)
+    return ComponentDraws(np.stack(list(values.values()), axis=1), bands[good], component[good], share / share.sum())
 
 
 def _require_same(quantities: Mapping[str, Floats], paint: PaintCalibration) -> None:
@@ -246,45 +308,49 @@ def _root(covariance: Floats) -> Floats:
 
 
 def source_shares(
-    values: Floats, drawn: SpectrumPosterior, fitted: ScoredSpectra, sources: tuple[UncertaintySource, ...]
+    drawn: ComponentDraws, fitted: ScoredSpectra, sources: tuple[UncertaintySource, ...]
 ) -> tuple[Floats, Floats]:
     """Return the variance (Q,) of quantities and the share (S, Q) of it that each source of the bands makes.
 
     Parameters
     ----------
-    values
-        (n, Q) draws of the quantities.
     drawn, fitted
-        Draws of the posterior with the bands of their paints; the bands' covariance and the evidence of components.
+        Draws of the posterior; the bands' covariance and the evidence of components.
     sources
         Of the bands.
     """
-    variance = values.var(axis=0)
-    made = np.zeros((len(sources), values.shape[1]))
-    for which, source in enumerate(sources):
-        # by its name: a source's errors do not depend on which others there are
-        rng = np.random.default_rng(list(source.name.encode()))
-        errors = _standardised(rng, source.root.shape[1]) @ source.root.T
-        made[which] = moved_means(values, drawn, fitted, errors).var(axis=0)
+    variance = drawn.weight @ (drawn.values - drawn.weight @ drawn.values) ** 2
+    # by its name: a source's errors do not depend on which others there are
+    seeds = [np.random.default_rng(list(source.name.encode())) for source in sources]
+    errors = [_standardised(rng, s.root.shape[1]) @ s.root.T for rng, s in zip(seeds, sources, strict=True)]
+    made = np.array([means.var(axis=0) for means in moved_means(drawn, fitted, errors)])
     shares = made / np.maximum(variance, 1e-300)
     return variance, shares / np.maximum(shares.sum(axis=0), 1.0)
 
 
-def moved_means(values: Floats, drawn: SpectrumPosterior, fitted: ScoredSpectra, errors: Floats) -> Floats:
-    """Return the posterior means (M, Q) of quantities, had the bands been off by errors (M, K) more.
+def moved_means(drawn: ComponentDraws, fitted: ScoredSpectra, errors: Sequence[Floats]) -> list[Floats]:
+    """Return the posterior means (M, Q) of quantities, had the bands been off by errors (M, K) more, for each errors.
 
     The components' means follow, and so do their weights; the other parameters as of :func:`source_shares`.
     """
-    places, component, count = np.unique(drawn.components, return_inverse=True, return_counts=True)
-    member = np.equal.outer(np.arange(places.size), component) / count[:, None]
-    means, centres = member @ values, member @ drawn.band_draws
-    inside, apart = values - means[component], drawn.band_draws - centres[component]
-    gain = np.linalg.solve(fitted.noise, apart.T @ inside) / max(len(values) - places.size, 1)
+    order = np.argsort(drawn.component, kind="stable")
+    places, start, count = np.unique(drawn.component[order], return_index=True, return_counts=True)
+    values, bands, weight = drawn.values[order], drawn.bands[order], drawn.weight[order]
+    means, centres = (np.add.reduceat(of, start) / count[:, None] for of in (values, bands))
+    inside, apart = values - np.repeat(means, count, axis=0), bands - np.repeat(centres, count, axis=0)
+    # a single draw shows no covariance: its component's weight goes to the others
+    freedom = weight * np.repeat(np.where(count > 1, count / np.maximum(count - 1, 1), 0.0), count)
+    alike = max(float(weight[np.repeat(count > 1, count)].sum()), 1e-300)
+    gain = np.linalg.solve(fitted.noise, apart.T @ (freedom[:, None] * inside)) / alike
+    ln_weight = np.log(np.add.reduceat(weight, start))
     slope, curvature = fitted.evidence_derivatives(places)
-    squares = (errors[:, :, None] * errors[:, None, :]).reshape(len(errors), -1)
-    ln = np.log(count) + errors @ slope.T + 0.5 * squares @ curvature.reshape(places.size, -1).T
-    weight = np.exp(ln - ln.max(axis=1, keepdims=True))
-    return np.asarray(weight @ means / weight.sum(axis=1, keepdims=True) + errors @ gain)
+    found = []
+    for error in errors:
+        squares = (error[:, :, None] * error[:, None, :]).reshape(len(error), -1)
+        ln = ln_weight + error @ slope.T + 0.5 * squares @ curvature.reshape(places.size, -1).T
+        moved = np.exp(ln - ln.max(axis=1, keepdims=True))
+        found.append(np.asarray(moved @ means / moved.sum(axis=1, keepdims=True) + error @ gain))
+    return found
 
 
 def _standardised(rng: np.random.Generator, columns: int) -> Floats:
