@@ -252,13 +252,16 @@ _TEMPLATE_LINES: Final = (
 def _quoted(text: str) -> str:
     """Return a cell of a CSV file."""
     quoted = text.replace('"', '""')
-    return f'"{quoted}"' if any(mark in text for mark in ',;"\t') else text
+    # a row that begins with # would be a comment
+    return f'"{quoted}"' if any(mark in text for mark in ',;"\t') or text.startswith("#") else text
 
 
 def read_signal_cells(path: Path) -> SignalTable:
     """Read the cells and refuse what is no number, and columns and rows that do not belong together."""
     what = "a CSV file of band signals"
-    names, lines = read_csv(path, what, ImportFormatError, True, True, True, _TEXTS)
+    names, lines = read_csv(
+        path, what, ImportFormatError, comments=True, skip_space=True, other_marks=True, names=_TEXTS
+    )
     # a byte order mark that came under a comment
     header = tuple(name.removeprefix("\ufeff").lower() for name in names)
     _check_columns(path, header)
@@ -361,6 +364,7 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
 
 WIDEST_LASER_NM = 60.0
 """Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
+MOST_FILTERS = 64  # slots that a record numbers
 MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
 
 
@@ -396,11 +400,17 @@ def wheel_of(
     Raises
     ------
     CurveError
-        A curve holds no whole pass band, or two filters are the same; the error names the file `place`.
+        A curve holds no whole pass band, or filters are the same or too many; the error names the file `place`.
     """
+    given = tuple(filters)
+    if len(given) > MOST_FILTERS:
+        raise CurveError(
+            f"{place}: has {len(given)} filters, but at most {MOST_FILTERS} are supported; leave out some, or give "
+            "wider ones"
+        )
     try:
         return FilterWheelSettings(
-            filters=tuple(_filter(slot, given, curves.get(given.name)) for slot, given in enumerate(filters, 1))
+            filters=tuple(_filter(slot, one, curves.get(one.name)) for slot, one in enumerate(given, 1))
         )
     except FieldError as error:
         fault = error.without_field
@@ -413,7 +423,7 @@ def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> Ba
     if curve is not None:
         low_nm, high_nm = half_maximum_nm(curve)
         known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
-    return BandPassFilter.model_validate({"slot": slot, **known})
+    return BandPassFilter(slot=slot, **known)
 
 
 def one_channel(path: Path | None) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:
