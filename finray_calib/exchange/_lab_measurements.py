@@ -1,8 +1,8 @@
 """What a lab measures beside its captures: forces, band signals, filters, detectors, pictures of a calibration board.
 
 The CSV of a force has comment lines that start with #, one header row, and units in its names; that of band signals may
-have any marks between its columns, and an empty one can be had. Pictures of a board are read as grey levels; the
-calibration made of them leaves as OpenCV's programs read it.
+have commas, tabs or semicolons between its columns, and an empty one is written as a template. Pictures of a board are
+read as grey levels; the calibration made of them leaves as OpenCV's programs read it.
 """
 
 import difflib
