@@ -262,8 +262,14 @@ def read_signal_cells(path: Path) -> SignalTable:
     names, lines = read_csv(
         path, what, ImportFormatError, comments=True, skip_space=True, other_marks=True, names=_TEXTS
     )
+    width = max((k for k, name in enumerate(names, 1) if name), default=0)  # a spreadsheet may add empty columns
+    lone = next((line for line, cells in lines if any(cell.strip() for cell in cells[width:])), None)
+    if lone is not None:
+        raise ImportFormatError(
+            f"{path}, line {lone}: has a value in a column without a name; name or remove the column"
+        )
     # a byte order mark that came under a comment
-    header = tuple(name.removeprefix("\ufeff").lower() for name in names)
+    header = tuple(name.removeprefix("\ufeff").lower() for name in names[:width])
     _check_columns(path, header)
     rows = tuple(_row(path, header, line, cells) for line, cells in lines)
     if not rows:
@@ -289,13 +295,19 @@ def _check_columns(path: Path, header: Sequence[str]) -> None:
     for name in header:
         if name not in _COLUMNS:
             near = difflib.get_close_matches(name, _COLUMNS, 1, cutoff=0.6)
-            hint = f"did you mean '{near[0]}'?" if near else "rename or remove the column;"
+            hint = f"did you mean '{near[0]}'?" if near else "rename or remove the column."
             raise ImportFormatError(
                 f"{path}: column '{name[:60]}' is not supported; {hint} Supported are {', '.join(_TEXTS)}, "
                 f"{', '.join(FILTER_DATA)}, laser_weight, and {readings}, each with its _sd"
             )
     if len(set(header)) < len(header):
         raise ImportFormatError(f"{path}: a column appears twice; remove one")
+    described = next((name for name in FILTER_DATA if name in header), None)
+    if described is not None and not {"curve", "center_nm"} & {*header}:
+        raise ImportFormatError(
+            f"{path}: has the column '{described}', but neither 'center_nm' nor 'curve', without which the filters are "
+            "those of the rig file; add the column center_nm (nm) or curve (a CSV file), or remove the column"
+        )
     if "filter" not in header:
         raise ImportFormatError(f"{path}: the column 'filter' is missing; give the name of the filter in each row")
     for one, other in (("paint_laser", "fluorescence"), ("paint_lamp", "reflectance")):

@@ -148,6 +148,22 @@ def test_filters_may_be_described_by_the_table(tmp_path, rig):
     assert described.optics.filters[3].fwhm_uncertainty_nm == 0.6  # of a catalogue
 
 
+def test_widths_without_centres_are_refused_instead_of_left_out(tmp_path, rig):
+    for name, value in (("fwhm_nm", 50.0), ("blocking_od", 2.0)):
+        with pytest.raises(ImportFormatError, match=f"has the column '{name}', but neither 'center_nm' nor 'curve'"):
+            imported(tmp_path, {name: np.full(7, value), **exact()}, rig)
+
+
+def test_empty_columns_of_a_spreadsheet_are_left_out(tmp_path, rig):
+    plain = imported(tmp_path, exact(), rig)
+    text = (tmp_path / "red.csv").read_text().replace("\n", ",,\n")
+    (tmp_path / "red.csv").write_text(text)
+    assert_same(plain, import_signal_table(tmp_path / "red.csv", rig)[0])
+    (tmp_path / "red.csv").write_text(text[:-2] + "7\n")
+    with pytest.raises(ImportFormatError, match=r"line 8: has a value in a column without a name; name or remove"):
+        import_signal_table(tmp_path / "red.csv", rig)
+
+
 def test_a_measured_curve_lies_beside_the_table(tmp_path):
     rows = "".join(f"{x},{0.8 * 2.0 ** (-((2 * (x - 601) / 9.0) ** 4)):.6f}\n" for x in np.arange(585.0, 618.0, 0.5))
     (tmp_path / "fb600.csv").write_text("wavelength_nm,transmission\n" + rows)
