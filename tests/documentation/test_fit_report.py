@@ -156,6 +156,9 @@ def test_a_yield_that_cannot_be_is_not_quoted() -> None:
     assert "404" not in told
     assert f"{families[0].title}: above 100 %, which no paint emits: the bands contradict this family" in told
     assert "above 100, impossible" in cells(families_table(paint))[families[0].title]
+    none = with_fit(RED, families=tuple(f.model_copy(update={"quantities": families[0].quantities}) for f in families))
+    told = said.family_statement(none)
+    assert " nm and the yield above 100 %, which no paint emits: the bands contradict all families." in told
 
 
 def test_the_words_on_the_prior_agree_with_the_shares() -> None:
