@@ -436,6 +436,10 @@ def test_wrong_options_are_refused(tmp_path, rig):
         assert message in outcome.err, outcome.err
         assert outcome.err.count("\n") == 1, outcome.err
     assert "TABLE is missing; give the table" in finray("import signals").err
+    for option in ("--laser-nm 450", "--calibrated", "--paint-name red", "--assume-yield 0.3", f"--response {path}"):
+        outcome = finray(f"import signals --template {option} --out {tmp_path}/t.csv")
+        assert (outcome.status, (tmp_path / "t.csv").exists()) == (2, False), option
+        assert f"{option.split()[0]} has no effect on an empty table; leave it out" in outcome.err
     path.write_text(table({**OF_FILTERS, **exact()}))
     assert "the wavelength of the laser is not known; give --rig RIG" in finray(f"import signals {path}").err
     wide = {**OF_FILTERS, "fwhm_nm": np.full(7, -1.0), **exact()}
