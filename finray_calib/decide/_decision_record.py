@@ -181,7 +181,8 @@ def decide(
     decided = _contacts(swept, on, decision)
     first = headline(decision, decided, TOLERANCE_REL, on.aim)
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, decided)
-    told = [first, *_within(decision, decided), then, *_other_sentences(others, on.aim), outside(decided, swept[0].design.indenter, on.aim)]
+    told = [first, *_within(decision, decided), then, *_other_sentences(others, on.aim)]
+    told.append(outside(decided, swept[0].design.indenter, on.aim))
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(on.contacts) == 1 else 1.0
     return LightAngleDecision(

@@ -57,8 +57,8 @@ def touches(*losses, across_mm=0.0, depth_mm=1.5):
 def test_the_first_sentence_says_what_to_do_and_for_which_touches():
     found = headline(decision(33.0), touches(0.02, 0.1, 0.06), 0.02)
     assert found == (
-        "For now, mount the light at 33 \u00b1 6 deg. At 33 deg, as simulated, the touch at each of the 3 places from 8 to 16 mm is at most 10 % less bright than at its "
-        "own best angle, and 6 % on average over them."
+        "For now, mount the light at 33 \u00b1 6 deg. At 33 deg, as simulated, the touch at each of the 3 places from "
+        "8 to 16 mm is at most 10 % less bright than at its own best angle, and 6 % on average over them."
     )
     found = headline(decision(33.0, validated=True), touches(0.02, 0.1, 0.06), 0.02)
     assert "6 deg. At 33 deg, the touch at each of the 3 places" in found
@@ -146,8 +146,8 @@ def test_what_others_would_have_chosen_is_said_with_its_cost():
 def test_a_decision_on_the_normal_tells_the_error_and_its_places():
     found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
     assert found == (
-        "For now, mount the light at -25 \u00b1 6 deg. At -25 deg, as simulated, at each of the 2 places from 8 to 12 mm the error of the sensed normal "
-        "is at most 25 % larger than at that place's best angle, and 14 % on average over them."
+        "For now, mount the light at -25 \u00b1 6 deg. At -25 deg, as simulated, at each of the 2 places from 8 to "
+        "12 mm the error of the sensed normal is at most 25 % larger than at that place's best angle, and 14 % on average over them."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
         "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "
