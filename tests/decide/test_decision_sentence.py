@@ -147,7 +147,8 @@ def test_a_decision_on_the_normal_tells_the_error_and_its_places():
     found = headline(decision(-25.0), touches(0.02, 0.2), 0.02, "normal")
     assert found == (
         "For now, mount the light at -25 \u00b1 6 deg. At -25 deg, as simulated, at each of the 2 places from 8 to "
-        "12 mm the error of the sensed normal is at most 25 % larger than at that place's best angle, and 14 % on average over them."
+        "12 mm the error of the sensed normal is at most 25 % larger than at that place's best angle, and "
+        "14 % on average over them."
     )
     assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
         "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "
