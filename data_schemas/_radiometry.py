@@ -427,7 +427,8 @@ class ImportedCamera(Model):
     response: str = Field(
         default="assumed",
         description="CSV: wavelength_nm,red_percent,green_percent,blue_percent, or wavelength_nm,response_percent of a "
-        "monochrome camera; assumed: smooth stand-in curves, flat for a monochrome camera",
+        "monochrome camera; assumed: smooth stand-in curves, flat for a monochrome camera; light beyond 780 nm is not "
+        "counted, so that the camera needs an infrared cut filter",
     )
 
     @model_validator(mode="after")

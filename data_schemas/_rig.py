@@ -132,7 +132,8 @@ class CameraSettings(Model):
     response: str = Field(
         default="assumed",
         description="'assumed' (smooth stand-in curves) or a CSV file with the header "
-        "wavelength_nm,red_percent,green_percent,blue_percent",
+        "wavelength_nm,red_percent,green_percent,blue_percent; light beyond 780 nm is not counted, so that the camera "
+        "needs an infrared cut filter",
     )
 
     @model_validator(mode="after")
@@ -320,7 +321,8 @@ class BandUncertainty(Model):
     response_rel: TypeBUncertainty = Field(default=0.003, description="error of a channel's response in a filter band")
     stray_light_rel: TypeBUncertainty = Field(
         default=0.003,
-        description="light that bypasses the filters, relative to the strongest signal but that of the laser's filter",
+        description="light that bypasses the filters: error of each band value (signal over that of white), relative "
+        "to the largest band value but that of the laser's filter",
     )
 
 

@@ -246,7 +246,7 @@ _CAMERA: Final = {
     "shortest_exposure_s": "seconds",
     "longest_exposure_s": "seconds",
     "response": '"assumed" (smooth stand-in curves) or a CSV file with the header\n'
-    "wavelength_nm,red_percent,green_percent,blue_percent",
+    "wavelength_nm,red_percent,green_percent,blue_percent; light beyond 780 nm is not counted: cut infrared off",
 }
 _WHEEL: Final = {
     "address": "thorlabs: serial port; indi: host:port/device; alpaca: http://host:port/number; others: none",
@@ -292,7 +292,7 @@ _WHITE: Final = {
 _BANDS: Final = {
     "calibration_rel": "error of a filter's value, common to red, green and blue",
     "response_rel": "error of a channel's response in a filter's band",
-    "stray_light_rel": "light that bypasses the filters, relative to the strongest signal outside the laser's filter",
+    "stray_light_rel": "light past the filters: error of a value, relative to the largest outside the laser's filter",
 }
 
 

@@ -343,7 +343,7 @@ def _uncertainty(paint: PaintCalibration, has_budget: bool) -> str:
         "A budget by source was not requested. Besides the noise of the frames, U includes the relative standard "
         f"uncertainties of the rig file: {percent(stated.calibration_rel)} for the calibration of each filter, "
         f"{percent(stated.response_rel)} for each channel's response, and for stray light "
-        f"{percent(stated.stray_light_rel)} of the strongest signal of all filters but the laser's."
+        f"{percent(stated.stray_light_rel)} of the largest band value of all filters but the laser's."
     )
     return f"{told} {budget if has_budget else assumed}"
 

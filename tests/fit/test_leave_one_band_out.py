@@ -38,7 +38,7 @@ def equal_weights(theta):
 def test_scores_are_ratios_of_evidences_with_and_without_the_band(weights, discrepancy):
     """p(y_b | y_-b) = Z(all) / Z(without b), by refits."""
     data, _ = simulate(orange(), weights, np.random.default_rng(4), discrepancy=discrepancy)
-    posterior, sample = sampled(data, discrepancy, 1)
+    posterior, sample = sampled(data, discrepancy, 11)
     got = leave_one_band_out(posterior, sample)
     others = [sampled(without_band(data, b), discrepancy, 2 + b)[1].ln_evidence for b in EMISSION_BANDS]
     exact = np.full(8, np.nan)
