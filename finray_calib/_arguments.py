@@ -13,7 +13,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from data_schemas import FinrayError, Record, RecordError, kind_in_words, needed_kind, provenance
+from data_schemas import FinrayError, Record, RecordError, keeps_options, kind_in_words, needed_kind, provenance
 from data_schemas import naming as naming_files
 from data_schemas.storage import digest_as_read, given_path
 from data_schemas.storage import read_record as read_stored
@@ -184,6 +184,8 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
         with naming_files(kind, *paths):
             yield
     except FinrayError as error:
+        if keeps_options():
+            raise
         told = str(error)
         for option, argument in _ARGUMENTS.items():
             # an option as a word, not as a part of a path or of a longer option
