@@ -131,10 +131,8 @@ def _loss_of(decision: LightAngleDecision) -> str:
     """Say of what the expected loss is a share, and over what it is averaged."""
     value = "inverse error of the normal" if decision.aim == "normal" else "brightness"
     many, worst = len(decision.contacts) > 1, decision.criterion == "worst"
-    over = ["all places"] if many and not worst else []
-    over += [] if decision.discrepancy_rel is None else ["the possible errors of the simulation"]
-    averaged = f", averaged over {' and '.join(over)}" if over else ", as expected"
-    return f"of the {value}{' at the worst place' if many and worst else ''}{averaged}"
+    over = [] if decision.discrepancy_rel is None else [", averaged over the possible errors of the simulation"]
+    return f"of the {value}{'' if not many else ' at the worst place' if worst else ' over all places'}{''.join(over)}"
 
 
 def verdict_sentence(decision: LightAngleDecision) -> str:
