@@ -205,7 +205,7 @@ def percent(fraction: float) -> str:
     return f"{float(f'{100 * fraction:.2g}') + 0.0:g} %"  # + 0.0: a zero has no sign
 
 
-_NEGATIVE_ZERO = re.compile(r"(?<![\w.,:=/-])-(0(?:\.0+)?)(?![\w.:-])")
+_NEGATIVE_ZERO = re.compile(r"(?<![\w.,:=/+-])-(0(?:\.0+)?)(?![\w:-]|\.\w)")
 
 
 def unsigned_zeros(text: str) -> str:

@@ -321,8 +321,8 @@ class BandUncertainty(Model):
     response_rel: TypeBUncertainty = Field(default=0.003, description="error of a channel's response in a filter band")
     stray_light_rel: TypeBUncertainty = Field(
         default=0.003,
-        description="light that bypasses the filters: error of each band value (signal over that of white), relative "
-        "to the largest band value but that of the laser's filter",
+        description="light that bypasses the filters: error of each band value (sample over white), relative to the "
+        "largest band value but that of the laser's filter",
     )
 
 

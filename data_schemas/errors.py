@@ -36,7 +36,9 @@ to do next.
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Final
 
 
 class FinrayError(Exception):
@@ -172,6 +174,24 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
         if not paths or any(str(error).startswith((f"{path}:", f"{path},", f"{path}/")) for path in paths):
             raise
         raise type(error)(f"{' and '.join(map(str, paths))}: {error}") from None
+
+
+_KEEPS_OPTIONS: Final = ContextVar("_KEEPS_OPTIONS", default=False)
+
+
+@contextmanager
+def keeping_options() -> Iterator[None]:
+    """Leave options of the command line in errors of the library, whose functions the command line calls."""
+    token = _KEEPS_OPTIONS.set(True)
+    try:
+        yield
+    finally:
+        _KEEPS_OPTIONS.reset(token)
+
+
+def keeps_options() -> bool:
+    """Return whether the command line calls, so that errors name its options and not arguments of the library."""
+    return _KEEPS_OPTIONS.get()
 
 
 def system_words(error: BaseException) -> str:

@@ -13,7 +13,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from data_schemas import FinrayError, Record, RecordError, kind_in_words, needed_kind, provenance
+from data_schemas import FinrayError, Record, RecordError, keeps_options, kind_in_words, needed_kind, provenance
 from data_schemas import naming as naming_files
 from data_schemas.storage import digest_as_read, given_path
 from data_schemas.storage import read_record as read_stored
@@ -141,27 +141,38 @@ _ARGUMENTS: Final = {
     "--accept-repeat": "accept_repeat=True",
     "--aim brightness": "aim='brightness'",
     "--angles": "angles_deg",
+    "--assume-yield Y": "options.assumed_yield",
+    "--assume-yield": "options.assumed_yield",
+    "--calibrated": "options.calibrated=True",
     "--captures": "captures",
     "--engine llvm": "engine='llvm'",
     "--engine scalar": "engine='scalar'",
     "--free": "free",
     "--increments 4": "increments=4",
     "--known-first-touch": "known_first_touch",
+    "--lamp": "options.lamp",
+    "--laser-fwhm-nm": "options.laser_fwhm_nm",
+    "--laser-nm": "options.laser_nm",
     "--level b": "level='b'",
     "--objectives all": "all_objectives=True",
     "--objectives intensity": "all_objectives=False",
     "--other-light": "other_lights",
     "--paint files": "paints (red, green)",
     "--out": "out",
+    "--paint-name": "options.paint_name",
     "--paint red=FILE and --paint green=FILE": "red and green",
     "--pose-response": "pose_response",
     "--register": "register",
     "--relative": "relative",
+    "--response": "options.response",
+    "--rig RIG": "rig",
     "--samples": "samples",
     "--shared-light": "shared_light",
     "--surfaces": "surfaces",
     "--weights": "weights",
     "--white-balance": "white_balance",
+    "--white-reflectance": "options.white_reflectance",
+    "--white-uncertainty-rel": "options.white_uncertainty_rel",
 }
 """Option of the command line, as errors of the packages below name it -> argument of the library."""
 
@@ -173,6 +184,8 @@ def naming(kind: type[FinrayError], *paths: Path) -> Iterator[None]:
         with naming_files(kind, *paths):
             yield
     except FinrayError as error:
+        if keeps_options():
+            raise
         told = str(error)
         for option, argument in _ARGUMENTS.items():
             # an option as a word, not as a part of a path or of a longer option

@@ -26,6 +26,7 @@ from data_schemas import (
     CaptureError,
     CaptureSession,
     FitError,
+    ImportFormatError,
     PaintCalibration,
     PaintMap,
     PaintPlan,
@@ -322,8 +323,10 @@ def import_signals(
     """
     from finray_calib.exchange import import_signal_table
 
+    require_truths(**{"options.calibrated": getattr(options, "calibrated", False)})
     place = None if rig is None else given_path(rig, "rig")
-    bands, files = import_signal_table(given_path(table, "table"), place, options)
+    with naming(ImportFormatError):
+        bands, files = import_signal_table(given_path(table, "table"), place, options)
     return made(bands, "import_signals", files)
 
 

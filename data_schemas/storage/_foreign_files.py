@@ -479,7 +479,7 @@ def read_csv(
         Take semicolons or tabs for what separates columns where the header has one of them and no comma; the decimal
         mark of numbers between semicolons may then be a comma, and between tabs where no number has a point.
     names
-        Columns that hold names, in which a comma is no decimal mark.
+        Columns that hold names, in which a comma is no decimal mark; the header may write them in capitals.
 
     Returns
     -------
@@ -531,7 +531,7 @@ def _with_points(
     header: Sequence[str], rows: list[tuple[int, list[str]]], mark: str, names: Collection[str]
 ) -> list[tuple[int, list[str]]]:
     """Return rows with decimal points in place of commas, where they can be meant, but for columns of names."""
-    texts = {k for k, name in enumerate(header) if name in names}
+    texts = {k for k, name in enumerate(header) if name in names or name.lower() in names}
     numbers = [cell for _, cells in rows for k, cell in enumerate(cells) if k not in texts]
     thousands = all(map(_GROUPED.fullmatch, filter(_COMMA_NUMBER.match, numbers)))  # 1,234 may be one between tabs
     if mark == "," or (mark == "\t" and (thousands or any(map(_POINT_NUMBER.match, numbers)))):

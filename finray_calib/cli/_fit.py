@@ -288,7 +288,8 @@ def _say_result(paint: "PaintCalibration", out: Path, budget: "tuple[BudgetRow, 
     if paint.colour_match is not None:
         say(f"  {paint.colour_match.statement}")
     stokes = paint.reradiation.stokes_shift_nm
-    belief = ", from the prior and the emission: absorption not measured" if paint.reradiation.prior_driven else ""
+    found = "hardly measured" if len(paint.reradiation.measured_at_nm) > 1 else "not measured"
+    belief = f", from the prior and the emission: absorption {found}" if paint.reradiation.prior_driven else ""
     say(f"  {'Stokes shift':26s} {stokes.estimate:.0f} [{stokes.low95:.0f}, {stokes.high95:.0f}] nm (95 %{belief})")
     if paint.prior_shares:
         shares = ", ".join(f"{_LABELS[name]} {100 * value.share:.0f} %" for name, value in paint.prior_shares.items())

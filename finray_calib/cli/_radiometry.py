@@ -6,7 +6,7 @@ reads a table of numbers.
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from finray_calib.cli._output import give, progress_bar, say, suggest_command, suggest_file, wrote
 from finray_calib.cli._run import (
@@ -318,9 +318,7 @@ def run_signals(arguments: argparse.Namespace) -> None:
         raise ImportFormatError("TABLE is missing; give the table (CSV), or --template for an empty one")
     if arguments.out is not None:
         require_new(arguments.out, ".json")
-    names = ("paint_name", "laser_nm", "laser_fwhm_nm", "lamp", "response", "white_reflectance",
-             "white_uncertainty_rel", "calibrated", "assumed_yield")  # fmt: skip
-    options = SignalOptions(**{name: getattr(arguments, name) for name in names})
+    options = SignalOptions(**{name: getattr(arguments, name) for name in _OF_READINGS})
     bands, files = import_signal_table(arguments.table, arguments.rig, options)
     out = require_new(arguments.out or Path(f"{file_name(bands.paint_name)}.bands.json"), ".json")
     write_record(bands, out, provenance(command_line(), input_digests(files)))
@@ -334,6 +332,20 @@ def run_signals(arguments: argparse.Namespace) -> None:
         say(f"  note: {note}")
 
 
+_OF_READINGS: Final = {
+    "paint_name": "--paint-name",
+    "laser_nm": "--laser-nm",
+    "laser_fwhm_nm": "--laser-fwhm-nm",
+    "lamp": "--lamp",
+    "response": "--response",
+    "white_reflectance": "--white-reflectance",
+    "white_uncertainty_rel": "--white-uncertainty-rel",
+    "calibrated": "--calibrated",
+    "assumed_yield": "--assume-yield",
+}
+"""Options by their names in SignalOptions."""
+
+
 def _write_template(arguments: argparse.Namespace) -> None:
     """Write an empty table."""
     from data_schemas import ImportFormatError
@@ -344,6 +356,9 @@ def _write_template(arguments: argparse.Namespace) -> None:
         raise ImportFormatError(
             f"{arguments.table}: --template reads no table, but writes an empty one; give its name with --out"
         )
+    for name, option in _OF_READINGS.items():
+        if getattr(arguments, name) not in (None, False):
+            raise ImportFormatError(f"{option} has no effect on an empty table; leave it out")
     text = signal_template(arguments.rig, arguments.channels or 1)
     out = require_new(arguments.out or Path("signals.csv"))
     write_bytes(out, text.encode())

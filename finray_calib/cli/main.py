@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from data_schemas import FinrayError, ProcessDiedError, RecordError, system_words
+from data_schemas import FinrayError, ProcessDiedError, RecordError, keeping_options, system_words
 from data_schemas.storage import OBJECTS_PER_COLLECTION, given_path
 from finray_calib.cli import (
     add_bench,
@@ -327,7 +327,8 @@ def _work(parsed: argparse.Namespace, words: list[str], in_own_process: bool) ->
         from finray_calib.cli._run import run_in_own_process
 
         return run_in_own_process(describe(parsed), words)
-    return int(parsed.run(parsed) or 0)
+    with keeping_options():
+        return int(parsed.run(parsed) or 0)
 
 
 def _one_line(error: Exception) -> str:

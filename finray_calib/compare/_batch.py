@@ -621,7 +621,7 @@ def _more(presses: int) -> str:
 
 def _lacking(scored: Sequence[ComparedPair]) -> tuple[tuple[bool, str, str], ...]:
     """Return (whether it is missing, what to capture, why)."""
-    gained = sum(any("white balance" in finding for finding in pair.findings) for pair in scored)
+    gained = sum(any("capture both images" in finding for finding in pair.findings) for pair in scored)
     clipped = sum(any("clipped" in finding for finding in pair.findings) for pair in scored)
     without_floor = sum(pair.floor_skill is None for pair in scored)
     return (

@@ -181,7 +181,8 @@ def decide(
     decided = _contacts(swept, on, decision)
     first = headline(decision, decided, TOLERANCE_REL, on.aim)
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, decided)
-    told = [first, then, *_other_sentences(others, on.aim), outside(decided, swept[0].design.indenter, on.aim)]
+    told = [first, *_within(decision, decided), then, *_other_sentences(others, on.aim)]
+    told.append(outside(decided, swept[0].design.indenter, on.aim))
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(on.contacts) == 1 else 1.0
     return LightAngleDecision(
@@ -442,9 +443,7 @@ def headline(
             f"{angle}: {simulated}the touch is expected to be at most {percent(tolerance_rel)} less bright than at "
             f"{best}."
         )
-    angle = (
-        f"{angle}, which is expected to cost at most {percent(tolerance_rel)} more than {best}. At {best}, {simulated}"
-    )
+    angle = f"{angle}. At {best}, {simulated}"
     losses, span = np.array([contact.loss_rel for contact in contacts]), span_of(contacts)
     weights = [contact.weight_share for contact in contacts]
     if aim == "normal":
@@ -463,6 +462,13 @@ def headline(
 def above_best(loss_rel: Floats) -> Floats:
     """Return by how much an error is above its best, from the loss of its inverse."""
     return np.asarray(1.0 / (1.0 - loss_rel) - 1.0)
+
+
+def _within(decision: AngleDecision, contacts: Sequence[DecidedContact]) -> list[str]:
+    """Return what the angles within the tolerance cost, which the first sentence of one place says itself."""
+    if decision.at_range_end or len(contacts) == 1:
+        return []
+    return [f"Angles within this tolerance are expected to cost at most {percent(TOLERANCE_REL)} more."]
 
 
 def mounting_angle(decision: AngleDecision) -> str:

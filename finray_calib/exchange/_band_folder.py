@@ -280,17 +280,17 @@ _WORDS_OF_A_SESSION = (
         "add an image of a shorter exposure to the folder, and its time to exposure_s.files",
     ),
     (r"^(session\.)?plan\.", f"{DESCRIPTION_NAME}: "),
-    (r"(session\.)?plan\.(\w+)", rf"\2 in {DESCRIPTION_NAME}"),
+    (r"(?<![\w./-])(session\.)?plan\.(\w+)", rf"\2 in {DESCRIPTION_NAME}"),
 )
 """What an error of a session says -> what it says of a folder of images, which has neither plan nor frames."""
 
 
 def _of_the_folder(text: str, names: Mapping[str, str]) -> str:
     """Return what radiometry says with the fields of the description and the images' own names."""
-    for stored, name in names.items():
-        text = text.replace(stored, name)
     for said, instead in _WORDS_OF_A_SESSION:
         text = re.sub(said, instead, text)
+    for stored, name in names.items():  # last, because an image may be named plan.tif
+        text = text.replace(stored, name)
     return text
 
 

@@ -1,8 +1,8 @@
 """What a lab measures beside its captures: forces, band signals, filters, detectors, pictures of a calibration board.
 
 The CSV of a force has comment lines that start with #, one header row, and units in its names; that of band signals may
-have any marks between its columns, and an empty one can be had. Pictures of a board are read as grey levels; the
-calibration made of them leaves as OpenCV's programs read it.
+have commas, tabs or semicolons between its columns, and an empty one is written as a template. Pictures of a board are
+read as grey levels; the calibration made of them leaves as OpenCV's programs read it.
 """
 
 import difflib
@@ -252,15 +252,24 @@ _TEMPLATE_LINES: Final = (
 def _quoted(text: str) -> str:
     """Return a cell of a CSV file."""
     quoted = text.replace('"', '""')
-    return f'"{quoted}"' if any(mark in text for mark in ',;"\t') else text
+    # a row that begins with # would be a comment
+    return f'"{quoted}"' if any(mark in text for mark in ',;"\t') or text.startswith("#") else text
 
 
 def read_signal_cells(path: Path) -> SignalTable:
     """Read the cells and refuse what is no number, and columns and rows that do not belong together."""
     what = "a CSV file of band signals"
-    names, lines = read_csv(path, what, ImportFormatError, True, True, True, _TEXTS)
+    names, lines = read_csv(
+        path, what, ImportFormatError, comments=True, skip_space=True, other_marks=True, names=_TEXTS
+    )
+    width = max((k for k, name in enumerate(names, 1) if name), default=0)  # a spreadsheet may add empty columns
+    lone = next((line for line, cells in lines if any(cell.strip() for cell in cells[width:])), None)
+    if lone is not None:
+        raise ImportFormatError(
+            f"{path}, line {lone}: has a value in a column without a name; name or remove the column"
+        )
     # a byte order mark that came under a comment
-    header = tuple(name.removeprefix("\ufeff").lower() for name in names)
+    header = tuple(name.removeprefix("\ufeff").lower() for name in names[:width])
     _check_columns(path, header)
     rows = tuple(_row(path, header, line, cells) for line, cells in lines)
     if not rows:
@@ -286,13 +295,19 @@ def _check_columns(path: Path, header: Sequence[str]) -> None:
     for name in header:
         if name not in _COLUMNS:
             near = difflib.get_close_matches(name, _COLUMNS, 1, cutoff=0.6)
-            hint = f"did you mean '{near[0]}'?" if near else "rename or remove the column;"
+            hint = f"did you mean '{near[0]}'?" if near else "rename or remove the column."
             raise ImportFormatError(
                 f"{path}: column '{name[:60]}' is not supported; {hint} Supported are {', '.join(_TEXTS)}, "
                 f"{', '.join(FILTER_DATA)}, laser_weight, and {readings}, each with its _sd"
             )
     if len(set(header)) < len(header):
         raise ImportFormatError(f"{path}: a column appears twice; remove one")
+    described = next((name for name in FILTER_DATA if name in header), None)
+    if described is not None and not {"curve", "center_nm"} & {*header}:
+        raise ImportFormatError(
+            f"{path}: has the column '{described}', but neither 'center_nm' nor 'curve', without which the filters are "
+            "those of the rig file; add the column center_nm (nm) or curve (a CSV file), or remove the column"
+        )
     if "filter" not in header:
         raise ImportFormatError(f"{path}: the column 'filter' is missing; give the name of the filter in each row")
     for one, other in (("paint_laser", "fluorescence"), ("paint_lamp", "reflectance")):
@@ -361,6 +376,7 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
 
 WIDEST_LASER_NM = 60.0
 """Full width of an LED, the widest source of one line, is 15 to 40 nm; a wider one is white light or another unit."""
+MOST_FILTERS = 64  # slots that a record numbers
 MONOCHROME_COLUMNS = ["wavelength_nm", "response_percent"]
 
 
@@ -396,11 +412,17 @@ def wheel_of(
     Raises
     ------
     CurveError
-        A curve holds no whole pass band, or two filters are the same; the error names the file `place`.
+        A curve holds no whole pass band, or filters are the same or too many; the error names the file `place`.
     """
+    given = tuple(filters)
+    if len(given) > MOST_FILTERS:
+        raise CurveError(
+            f"{place}: has {len(given)} filters, but at most {MOST_FILTERS} are supported; leave out some, or give "
+            "wider ones"
+        )
     try:
         return FilterWheelSettings(
-            filters=tuple(_filter(slot, given, curves.get(given.name)) for slot, given in enumerate(filters, 1))
+            filters=tuple(_filter(slot, one, curves.get(one.name)) for slot, one in enumerate(given, 1))
         )
     except FieldError as error:
         fault = error.without_field
@@ -413,7 +435,7 @@ def _filter(slot: int, given: ImportedFilter, curve: SpectralCurve | None) -> Ba
     if curve is not None:
         low_nm, high_nm = half_maximum_nm(curve)
         known |= {"center_nm": 0.5 * (low_nm + high_nm), "fwhm_nm": high_nm - low_nm}
-    return BandPassFilter.model_validate({"slot": slot, **known})
+    return BandPassFilter(slot=slot, **known)
 
 
 def one_channel(path: Path | None) -> tuple[SpectralCurve, SpectralCurve, SpectralCurve]:

@@ -15,8 +15,11 @@ assume; the name of the paint then says that it is assumed. Without paint under 
 0 to 1. A spectrometer that measures spectral radiance needs no lamp, because W follows from the filters' curves.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -42,6 +45,7 @@ from data_schemas import (
 from data_schemas.storage import (
     assumed_camera_response,
     camera_response,
+    given_path,
     lamp_curve,
     read_camera_response,
     read_filter_curves,
@@ -152,17 +156,64 @@ def import_signal_table(
     CurveError
         A curve is unusable.
     """
-    options = options or SignalOptions()
+    options = _checked(options)
     read = read_signal_cells(table)
+    if options.calibrated and "channel" in read.header:
+        raise ImportFormatError(
+            f"{table}: has the column 'channel', but a calibrated spectrometer has one channel; remove the column, or "
+            "leave out --calibrated"
+        )
     known = None if rig is None else read_toml(rig, RigFile)
     files = [table, *([] if rig is None else [rig])]
     try:
         optics, notes = _optics(read, known, rig, options, files)
     except FieldError as error:
         raise ImportFormatError(f"{table}: {error}") from None
-    with np.errstate(over="ignore", invalid="ignore"):
-        bands = _bands(read, optics, options, notes)
-    return bands, files
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _bands(read, optics, options, notes), files
+    except FieldError:  # a covariance that is not positive definite
+        raise ImportFormatError(
+            f"{table}: the standard uncertainties of single values are too small beside those that all values share "
+            "(of the white reference and of the readings at the laser's filter); correct the columns that end in _sd"
+        ) from None
+
+
+def _checked(options: SignalOptions | None) -> SignalOptions:
+    """Return the options with paths for files; refuse what no setting of a rig refuses."""
+    if options is None:
+        return SignalOptions()
+    if not isinstance(options, SignalOptions):
+        raise ImportFormatError(
+            "options: must be None or a SignalOptions, such as SignalOptions(laser_nm=450.0), got "
+            f"{type(options).__name__}"
+        )
+    energy_yield: Any = options.assumed_yield
+    is_number, name = isinstance(energy_yield, Real) and not isinstance(energy_yield, bool), options.paint_name
+    if energy_yield is not None and not (is_number and 0.0 < energy_yield <= 1.0):
+        raise ImportFormatError(
+            f"--assume-yield: must be a number above 0 and at most 1 (emitted / incident energy), got {energy_yield!r}"
+        )
+    if not isinstance(name, str | None):
+        raise ImportFormatError(f"--paint-name: must be text, got type {type(name).__name__}")
+    response = None if options.response is None else given_path(options.response, "--response")
+    if options.calibrated and response is not None:
+        raise ImportFormatError(
+            "--response is given with --calibrated, but readings of a calibrated spectrometer hold no response of the "
+            "detector; leave one of them out"
+        )
+    lamp = None if options.lamp is None else str(given_path(options.lamp, "--lamp"))
+    return replace(options, response=response, lamp=lamp)
+
+
+@contextmanager
+def _naming_options(**options: str) -> Iterator[None]:
+    """Name the option in place of the setting that it replaces, in errors of a setting."""
+    try:
+        yield
+    except FieldError as error:
+        told = re.sub(r"^'(\w+)'", lambda found: options.get(found[1], found[0]), str(error))
+        raise ImportFormatError(told) from None
 
 
 def _optics(
@@ -210,12 +261,13 @@ def _laser(table: SignalTable, rig: RigFile | None, options: SignalOptions) -> L
             f"{table.path}: the wavelength of the laser is not known; give --rig RIG, or --laser-nm (nm)"
         )
     stated = LaserSettings() if rig is None else rig.laser
-    laser = LaserSettings(
-        wavelength_nm=stated.wavelength_nm if options.laser_nm is None else options.laser_nm,
-        fwhm_nm=stated.fwhm_nm if options.laser_fwhm_nm is None else options.laser_fwhm_nm,
-        power_mw=stated.power_mw,
-        laser_class=stated.laser_class,
-    )
+    with _naming_options(wavelength_nm="--laser-nm", fwhm_nm="--laser-fwhm-nm"):
+        laser = LaserSettings(
+            wavelength_nm=stated.wavelength_nm if options.laser_nm is None else options.laser_nm,
+            fwhm_nm=stated.fwhm_nm if options.laser_fwhm_nm is None else options.laser_fwhm_nm,
+            power_mw=stated.power_mw,
+            laser_class=stated.laser_class,
+        )
     require_line(table.path, laser)
     return laser
 
@@ -224,7 +276,8 @@ def _white(rig: RigFile | None, options: SignalOptions) -> WhiteReference:
     """Return the white reference of the options, or of the rig."""
     stated = WhiteReference() if rig is None else rig.white_reference
     given = {"reflectance": options.white_reflectance, "uncertainty_rel": options.white_uncertainty_rel}
-    return WhiteReference(**{**stated.model_dump(), **{k: v for k, v in given.items() if v is not None}})
+    with _naming_options(reflectance="--white-reflectance", uncertainty_rel="--white-uncertainty-rel"):
+        return WhiteReference(**{**stated.model_dump(), **{k: v for k, v in given.items() if v is not None}})
 
 
 def _named_filters(
@@ -330,9 +383,15 @@ def _bands(table: SignalTable, optics: Optics, options: SignalOptions, notes: li
     """Return the record."""
     notes = [f"from the table {table.path.name}; laser dose unknown", *notes]
     readings = None if "fluorescence" in table.header else _readings(table, optics, options, notes)
+    if readings is None and (lone := next(filter(table.has, READINGS), None)) is not None:
+        raise ImportFormatError(
+            f"{table.path}: has readings in the column '{lone}' beside 'fluorescence', whose values are already "
+            "referred to the white reference; remove them, and give the paint under the lamp as 'reflectance'"
+        )
     rho = _reflectance(table, readings, optics, notes)
     if readings is None:
         weights, y, measured = _given_weights(table, optics), _given_ratios(table, "fluorescence", optics), True
+        _require_less_reflected(table, y, weights, optics)
     else:
         _require_less_than_white(table, readings, optics)
         level, y = _fluorescence(table, readings, optics, options, notes)
@@ -363,8 +422,7 @@ def _readings(table: SignalTable, optics: Optics, options: SignalOptions, notes:
     dark = np.nan_to_num(table.column("dark", optics.filters))
     value = {name: table.column(name, optics.filters) - dark for name in READINGS[:-1]}
     sd = {name: np.nan_to_num(table.column(f"{name}_sd", optics.filters)) for name in READINGS[:-1]}
-    if not table.has("dark"):
-        notes.append("no dark readings: the readings are taken as they are, without the light of the dark subtracted")
+    notes += _without_dark(table)
     computed = options.calibrated and not table.has("white_lamp")
     if computed:
         value["white_lamp"] = _white_of_curves(optics, len(table.channels))
@@ -379,21 +437,38 @@ def _readings(table: SignalTable, optics: Optics, options: SignalOptions, notes:
     noise = np.hypot(sd["white_lamp"], 0.0 if computed else dark_sd)
     good = np.isfinite(white) & (white > 0) & (white >= LEAST_WHITE_SNR * noise)
     readings = Readings(value, sd, dark_sd, good, computed)
-    for b, band in enumerate(optics.filters):
-        for c, channel in enumerate(table.channels):
-            if not readings.usable[b, c]:
-                why = (
-                    "it has no reading of the paint under the laser"
-                    if not np.isfinite(value["paint_laser"][b, c])
-                    else f"its white under the lamp is not above {LEAST_WHITE_SNR:g} standard uncertainties"
-                )
-                notes.append(f"filter {band.name}{' ' + channel if channel else ''} is not used, because {why}")
+    notes += _unused(table, readings, optics)
     if not readings.usable.any():
         raise ImportFormatError(
             f"{table.path}: {notes[-1]}, and no other filter can be used; give the readings of paint_laser and "
             "white_lamp in each row"
         )
     return readings
+
+
+def _without_dark(table: SignalTable) -> list[str]:
+    """Say of which filters no dark reading is subtracted."""
+    if not table.has("dark"):
+        return ["no dark readings: the readings are taken as they are, without the light of the dark subtracted"]
+    rows = [row for row in table.rows if "dark" not in row.numbers and not row.numbers.keys().isdisjoint(READINGS)]
+    names = ", ".join(dict.fromkeys(row.filter_name for row in rows))
+    return [f"no dark reading of filters {names}: their readings are taken as they are"] if rows else []
+
+
+def _unused(table: SignalTable, readings: Readings, optics: Optics) -> list[str]:
+    """Say which filters and channels cannot be used, and why."""
+    told = []
+    for b, band in enumerate(optics.filters):
+        for c, channel in enumerate(table.channels):
+            if readings.usable[b, c]:
+                continue
+            why = f"its white under the lamp is not above {LEAST_WHITE_SNR:g} standard uncertainties"
+            if not np.isfinite(readings.value["white_lamp"][b, c]):
+                why = "it has no reading of the white reference under the lamp"
+            if not np.isfinite(readings.value["paint_laser"][b, c]):
+                why = "it has no reading of the paint under the laser"
+            told.append(f"filter {band.name}{' ' + channel if channel else ''} is not used, because {why}")
+    return told
 
 
 def _white_of_curves(optics: Optics, channels: int) -> Floats:
@@ -420,6 +495,20 @@ def _require_less_than_white(table: SignalTable, readings: Readings, optics: Opt
         )
 
 
+def _require_less_reflected(table: SignalTable, y: _Signals, weights: Floats, optics: Optics) -> None:
+    """Refuse ratios by which the paint reflects more of the laser than white does: they are in per cent."""
+    e, n = _excitation(optics), weights.size
+    used = np.where(y.usable[e], weights, 0.0)
+    block = slice(n * e, n * (e + 1))
+    reflected, sd = float(used @ y.values[e]), float(np.sqrt(used @ y.covariance[block, block] @ used))
+    if reflected > LARGEST_REFLECTANCE + 3 * sd:
+        raise ImportFormatError(
+            f"{table.path}, filter '{optics.excitation_filter}': the paint is {reflected:g} times as bright as white "
+            f"under the laser, but at most {LARGEST_REFLECTANCE:g} times is allowed; give 'fluorescence' as a fraction "
+            "instead of per cent, and referred to white under the laser"
+        )
+
+
 def _fluorescence(
     table: SignalTable, readings: Readings, optics: Optics, options: SignalOptions, notes: list[str]
 ) -> tuple[LaserLevel, _Signals]:
@@ -434,8 +523,28 @@ def _fluorescence(
             "measured, but its yield, peak and the reflectance at the laser follow from an assumed yield of about "
             f"{options.assumed_yield:g}"
         )
+        if not level.value > 0.0:
+            raise ImportFormatError(
+                f"{table.path}: the emission has no area, so that no level gives it the assumed yield; give readings "
+                "of paint_laser of two or more filters beside the laser's, at least one of them above the dark"
+            )
+    else:
+        _require_known_level(table, readings, level, optics)
     y, covariance = fluorescence_of_readings(readings, e, level, optics.white_reference)
     return level, _Signals(y, covariance, readings.usable)
+
+
+def _require_known_level(table: SignalTable, readings: Readings, level: LaserLevel, optics: Optics) -> None:
+    """Refuse a level of the laser that is too uncertain to divide by, as white under the lamp may not be."""
+    e = _excitation(optics)
+    sd = np.hypot(np.nan_to_num(readings.sd["white_laser"][e]), readings.dark_sd[e])
+    sd_rel = float(np.linalg.norm(level.weights * sd / readings.white[e])) / level.value
+    if sd_rel > 1 / LEAST_WHITE_SNR:
+        raise ImportFormatError(
+            f"{table.path}, filter '{optics.excitation_filter}': the level of the laser is known to "
+            f"{100 * sd_rel:.3g} %, but must be known to {100 / LEAST_WHITE_SNR:g} % or better, because all values are "
+            "divided by it; give the mean of more readings of white_laser"
+        )
 
 
 def _require_unmeasured(table: SignalTable, readings: Readings, optics: Optics, options: SignalOptions) -> None:
@@ -473,7 +582,7 @@ def _assumed_level(readings: Readings, optics: Optics, energy_yield: float) -> L
     ]
     centers_nm, values = np.array(sorted(emission)).reshape(-1, 2).T
     level = float(np.trapezoid(values, centers_nm)) / energy_yield
-    return LaserLevel(weights, level or 1.0)
+    return LaserLevel(weights, level)
 
 
 def _given_ratios(table: SignalTable, name: str, optics: Optics) -> _Signals:
@@ -504,8 +613,8 @@ def _reflectance(table: SignalTable, readings: Readings | None, optics: Optics, 
     shape = (len(optics.filters), len(table.channels))
     if table.has("reflectance"):
         found = _given_ratios(table, "reflectance", optics)
-    elif table.has("paint_lamp"):
-        if readings is None or readings.white_is_computed:
+    elif readings is not None and table.has("paint_lamp"):
+        if readings.white_is_computed:
             raise ImportFormatError(
                 f"{table.path}: has readings in the column 'paint_lamp', but none of the white reference under the "
                 "lamp to refer them to; add 'white_lamp', or give the ratio in the column 'reflectance'"

@@ -90,7 +90,8 @@ def combine_sessions(sessions: Sequence[BandSignals]) -> tuple[BandSignals, Sess
                 for row, flags in zip(usable.any(axis=0).reshape(-1, 3), first.flags, strict=True)
             ),
             "saturated_fraction": np.max([one.saturated_fraction for one in sessions], axis=0),
-            "region_pixels": sum(one.region_pixels for one in sessions),
+            # readings of a table, with one each, have none
+            "region_pixels": max(sum(one.region_pixels for one in sessions if one.region_pixels > 1), 1),
             "bleaching": None,
             "provenance": None,
             "notes": (*_notes(scatter), *(f"session {i}: {n}" for i, s in enumerate(sessions, 1) for n in s.notes)),

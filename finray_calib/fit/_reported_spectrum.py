@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from data_schemas import Estimate, PriorShare
 from finray_calib.fit._band_data import BandData
-from finray_calib.fit._emission import EmissionPosterior, estimate
+from finray_calib.fit._emission import FEWEST_DRAWS, EmissionPosterior, estimate
 from finray_calib.fit._family_choice import FitOptions
 from finray_calib.fit._measured_spectra import (
     MeasuredSpectra,
@@ -430,7 +430,8 @@ class TwoMaxima:
 def two_maxima(wavelength_nm: Floats, curves: Floats) -> TwoMaxima | None:
     """Return the two highest maxima of drawn spectra (n, L), or None where fewer than half of them have two.
 
-    A maximum counts where the curve falls by 5 % of its peak on both sides before it rises higher.
+    None, too, where fewer than 100 have two: an interval needs as many. A maximum counts where the curve falls by 5 %
+    of its peak on both sides before it rises higher.
     """
     from scipy.signal import find_peaks
 
@@ -440,7 +441,7 @@ def two_maxima(wavelength_nm: Floats, curves: Floats) -> TwoMaxima | None:
         if len(peaks) > 1:
             first, second = np.sort(peaks[np.argsort(curve[peaks])[-2:]])
             found.append((wavelength_nm[first], wavelength_nm[second], curve[second] / curve[first]))
-    if not found or len(found) < len(curves) / 2:
+    if len(found) < max(FEWEST_DRAWS, len(curves) / 2):
         return None
     first_nm, second_nm, ratio = (estimate(column) for column in np.array(found).T)
     return TwoMaxima(len(found) / len(curves), first_nm, second_nm, ratio)

@@ -22,6 +22,7 @@ from data_schemas import (
     TactileCapture,
     package_version,
 )
+from finray_calib.compare import OWN_NOISE
 from finray_calib.reports._comparison_statements import judged_skill
 from finray_calib.reports._images import ByteImage, png_data_uri, touch_changes, touch_pictures
 from finray_calib.reports._page import (
@@ -147,7 +148,7 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
             picture=_ranking_picture(batch) if _ranked(batch) else None,
             key_numbers=tuple(_key_numbers(batch)),
             parts=(
-                *findings_section((*list(_sentences(batch))[1:], *_failures(batch))),
+                *findings_section((*list(_sentences(batch))[1:], *_own_sentence(batch), *_failures(batch))),
                 limits_section(_limits(batch), batch.notes),
                 *_sections(batch, worst),
             ),
@@ -161,7 +162,29 @@ def batch_page(batch: ComparisonBatch, worst: Sequence[PressPictures], command: 
 def _light(batch: ComparisonBatch) -> Light:
     """Return the light of the best simulator."""
     ranked = _ranked(batch)
-    return judged_skill(ranked[0][1].low95, ranked[0][1].high95)[0] if ranked else "bad"
+    return _judged(batch, *ranked[0])[0] if ranked else "bad"
+
+
+def _judged(batch: ComparisonBatch, score: SimulatorScore, skill: SkillOverPresses) -> tuple[Light, str]:
+    """Return the light of a simulator's skill, and why."""
+    if any(OWN_NOISE in pair.findings for pair in _scored(batch, score)):
+        return "care", "captures were made from its renders"
+    return judged_skill(skill.low95, skill.high95)
+
+
+def _scored(batch: ComparisonBatch, score: SimulatorScore) -> list[ComparedPair]:
+    """Return the compared pairs of a simulator."""
+    return [pair for pair in batch.pairs if pair.simulator == score.simulator and pair.skill is not None]
+
+
+def _own_sentence(batch: ComparisonBatch) -> Iterator[str]:
+    """Yield how many captures prove nothing, where there are any."""
+    own = sum(OWN_NOISE in pair.findings for pair in batch.pairs)
+    if own:
+        yield (
+            f"In {own} of {_count(len(batch.pairs), 'pair')} the capture was made from the render that it is compared "
+            "with: agreement shows only that the comparison works."
+        )
 
 
 def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
@@ -176,6 +199,7 @@ def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
             yield f"{_simulator(score)}: no press could be compared"
     for difference in batch.differences:
         yield f"{_difference_sentence(difference)}"
+    yield from _own_sentence(batch)
     if batch.worst:
         yield f"lowest: {', '.join(batch.worst)}"
     for wish in batch.to_capture_next:
@@ -232,6 +256,9 @@ def _verdict(batch: ComparisonBatch) -> str:
     if not ranked:
         return "Nothing could be compared"
     score, skill = ranked[0]
+    scored = _scored(batch, score)
+    if scored and all(OWN_NOISE in pair.findings for pair in scored):
+        return "This comparison proves nothing about the simulation"
     if len(ranked) == 1:
         if skill.low95 is None or skill.high95 is None:
             return f"Skill {fixed(skill.estimate, 2)}; {_count(skill.units, skill.unit)} give no interval"
@@ -279,7 +306,7 @@ def _key_numbers(batch: ComparisonBatch) -> Iterator[KeyNumber]:
             places = 3 if skill.high95 - skill.low95 < 0.02 else 2
             ends = fixed(skill.low95, places), fixed(skill.high95, places)
             between = f"95 %: {' to '.join(ends)}" if ends[0] != ends[1] else "its interval is narrower than 0.001"
-        judged = judged_skill(skill.low95, skill.high95)
+        judged = _judged(batch, score, skill)
         name = "Relative skill" if batch.relative else "Skill"
         yield KeyNumber(f"{name}, {_simulator(score)}", fixed(skill.estimate, 3), between, *judged)
     if len(_ranked(batch)) < 2:

@@ -111,7 +111,7 @@ def decision_numbers(decision: LightAngleDecision) -> tuple[KeyNumber, ...]:
     most = KeyNumber(
         "Another angle may be better",
         f"by {percent(claim.expected_regret)}",
-        f"expected {_loss_of(decision)}; at most {percent(claim.regret_95)} with 95 % probability",
+        f"{_loss_of(decision)}; at most {percent(claim.regret_95)} with 95 % probability",
         loss,
         reasons[loss],
     )
@@ -128,11 +128,11 @@ _SURE, _EVEN = 0.95, 0.5
 
 
 def _loss_of(decision: LightAngleDecision) -> str:
-    """Say of what the loss is a share, and over which errors it is expected."""
+    """Say of what the expected loss is a share, and over what it is averaged."""
     value = "inverse error of the normal" if decision.aim == "normal" else "brightness"
-    where = " at the worst place" if decision.criterion == "worst" else " over all places together"
-    errors = "" if decision.discrepancy_rel is None else ", with the sim-to-real errors"
-    return f"of the {value}{where if len(decision.contacts) > 1 else ''}{errors}"
+    many, worst = len(decision.contacts) > 1, decision.criterion == "worst"
+    over = [] if decision.discrepancy_rel is None else [", averaged over the possible errors of the simulation"]
+    return f"of the {value}{'' if not many else ' at the worst place' if worst else ' over all places'}{''.join(over)}"
 
 
 def verdict_sentence(decision: LightAngleDecision) -> str:

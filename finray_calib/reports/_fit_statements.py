@@ -167,14 +167,15 @@ def _spread(paint: FittedPaint) -> str:
     mode, width = ([f.quantities[name].estimate for f in paint.competing] for name in ("mode_nm", "fwhm_nm"))
     possible = [y for f in paint.competing if (y := f.quantities["energy_yield"].estimate) <= 1.0]
     beyond = [f.title for f in paint.competing if f.quantities["energy_yield"].estimate > 1.0]
-    energy = [f"{percent(min(possible))} to {percent(max(possible))}"] if possible else []
-    if beyond:
-        excess = f"{' and '.join(beyond)}: above 100 %, which no paint emits: the bands contradict"
-        energy.append(f"{excess} {'this family' if len(beyond) == 1 else 'these families'}")
+    excess = "above 100 %, which no paint emits: the bands contradict"
+    energy = f"at {percent(min(possible))} to {percent(max(possible))}" if possible else f"{excess} all families"
+    if beyond and possible:
+        these = "this family" if len(beyond) == 1 else "these families"
+        energy += f" ({' and '.join(beyond)}: {excess} {these})"
     return (
         f"What the choice changes: the {len(mode)} families put the mode at {min(mode):.1f} to "
-        f"{max(mode):.1f} nm, the full width at {min(width):.1f} to {max(width):.1f} nm and the yield at "
-        f"{' ('.join(energy)}{')' if len(energy) > 1 else ''}."
+        f"{max(mode):.1f} nm, the full width at {min(width):.1f} to {max(width):.1f} nm and the yield "
+        f"{energy}."
     )
 
 

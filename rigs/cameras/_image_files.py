@@ -374,7 +374,7 @@ def _ends_whole(content: bytes) -> bool:
 
 JPEG_START, JPEG_END, PADDING = b"\xff\xd8", b"\xff\xd9", b"\x00\r\n"
 # In the data of a scan 0xFF stands before 0, or before the number of a restart (ITU-T T.81, B.1.1.5).
-_MARKER: Final = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)
+_MARKER: Final = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)
 
 
 def decoded_jpeg(body: bytes, name: str) -> NDArray[np.uint8]:

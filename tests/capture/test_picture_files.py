@@ -1,6 +1,7 @@
 """Pictures: size and wholeness before decoding."""
 
 import struct
+import time
 import zlib
 
 import cv2
@@ -48,6 +49,18 @@ def test_any_data_may_follow_a_whole_jpeg(tmp_path, flags):
         path.write_bytes(content[:-2] + more)
         with pytest.raises(BadFrameError, match="truncated"):
             read_picture(path)
+
+
+def test_a_cut_jpeg_whose_rest_was_never_written_is_refused_at_once(tmp_path):
+    """Flash memory that holds nothing reads as 0xFF; they were searched again from each one on."""
+    path = tmp_path / "a.jpg"
+    cv2.imwrite(str(path), PICTURE)
+    path.write_bytes(path.read_bytes()[:-2] + b"\xff" * 2**16)
+    start_s = time.process_time()
+    with pytest.raises(BadFrameError, match="truncated"):
+        read_picture(path)
+    # 1 ms on one core, and half a minute when each is searched from
+    assert time.process_time() - start_s < 3.0
 
 
 def test_every_changed_byte_of_a_png_is_noticed(tmp_path):

@@ -18,6 +18,8 @@ import pytest
 from data_schemas import ComparisonBatch, FieldError, Interval, PhotometricErrorReport, provenance
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
+from finray_calib.compare import OWN_NOISE
+from finray_calib.reports import batch_lines, batch_page
 from finray_calib.reports._batch_page import _tiles
 from tests.command_line.records import capture_of, press
 from tests.command_line.running import finray, tree
@@ -69,6 +71,23 @@ def test_folders_give_reports_and_a_summary_and_survive_a_bad_pair(folders: Path
     assert again.status == 2
     assert "exists already and is not overwritten" in again.err
     assert tree(folders) == before
+
+
+def test_captures_made_from_their_renders_prove_nothing_on_the_page_of_all_presses(folders: Path) -> None:
+    assert finray(f"compare {folders}/simulated {folders}/captured --out {folders}/out").status == 0
+    batch = read_record(folders / "out/summary.json", ComparisonBatch)
+    (score,) = batch.simulators
+    skill = score.skill.model_copy(update={"estimate": 0.97, "low95": 0.96, "high95": 0.98})
+    sure = score.model_copy(update={"skill": skill})
+    one_of = [batch.pairs[0], batch.pairs[1], batch.pairs[2].model_copy(update={"findings": (OWN_NOISE,)})]
+    both = [p if p.skill is None else p.model_copy(update={"findings": (OWN_NOISE,)}) for p in one_of]
+    for pairs, light, is_void in ((batch.pairs, "good", False), (one_of, "care", False), (both, "care", True)):
+        told = batch.model_copy(update={"simulators": (sure,), "pairs": tuple(pairs)})
+        page, lines = batch_page(told, [], "", {}), " ".join(batch_lines(told))
+        assert f'<section class="verdict {light}"' in page
+        assert re.search(rf'<div class="{light}"><dt>Skill, simula\w+</dt>', page)
+        assert ("This comparison proves nothing about the simulation" in page) is is_void
+        assert ("made from the render" in lines) is ("made from the render" in page) is (light == "care")
 
 
 def test_simulators_are_ranked_on_one_page(folders: Path) -> None:

@@ -200,6 +200,14 @@ def test_what_to_capture_next_follows_from_what_is_missing():
     assert to_capture([pair("a", None)]) == ()
 
 
+def test_a_gain_between_images_of_the_render_asks_for_no_other_captures():
+    """What is told is what finray.compare.find_mismatches tells of exposures."""
+    for changed, is_asked in (("capture", True), ("render", False)):
+        finding = f"exposure: ...; {changed} both images with the same exposure, gain, white balance and bit depth"
+        told = to_capture([pair(name, 0.9, findings=(finding,)) for name in "abc"])
+        assert any("in 3 of 3 pairs the camera's gain changed between the images" in wish for wish in told) is is_asked
+
+
 def test_the_worst_pairs_come_first():
     pairs = [pair(n, s) for n, s in zip("abcdefg", [0.5, 0.1, None, 0.9, -2.0, 0.3, 0.4], strict=True)]
     assert worst_pairs(pairs) == ("e", "b", "f", "g", "a")

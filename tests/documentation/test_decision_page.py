@@ -47,8 +47,8 @@ def test_a_designer_finds_angle_tolerance_and_risk_before_anything_else(html):
         "Mount the light at 32 deg",
         "32 deg: true optimum within 5 deg with probability 0.71",
         "None better by more than 2 % 0.97 probability \u2713 good : a decision needs 0.95",
-        "Another angle may be better by 0.3 % expected of the brightness, with the sim-to-real errors; at most 1.4 % "
-        "with 95 % probability",
+        "Another angle may be better by 0.3 % of the brightness, averaged over the possible errors of the simulation; "
+        "at most 1.4 % with 95 % probability",
         "0 deg along the pad towards the tip, 90 deg straight into it",
         "On the drawing: 32 deg, -7 / +7 deg. At each angle inside this tolerance at most 2 % of the signal is lost",
         "on average 0.3 % of the signal is lost against the best possible angle, and in 19 of 20 cases not more than "

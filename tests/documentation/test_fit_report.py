@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from example_records import example_results
 from html_page import TRUST, Page, assert_stands_alone
 
 from data_schemas import Diagnostics, Estimate, PaintCalibration, PriorSensitivity, PriorShare, Provenance, TiltRatio
+from finray_calib.cli._fit import _say_result
 from finray_calib.reports import FittedPaint, ReportTable, fit_parts, fit_summary, paint_report, percent, plain
 from finray_calib.reports import _fit_statements as said
 from finray_calib.reports._fit_page import _fit_limits, _lead, fit_verdict
@@ -154,6 +156,9 @@ def test_a_yield_that_cannot_be_is_not_quoted() -> None:
     assert "404" not in told
     assert f"{families[0].title}: above 100 %, which no paint emits: the bands contradict this family" in told
     assert "above 100, impossible" in cells(families_table(paint))[families[0].title]
+    none = with_fit(RED, families=tuple(f.model_copy(update={"quantities": families[0].quantities}) for f in families))
+    told = said.family_statement(none)
+    assert " nm and the yield above 100 %, which no paint emits: the bands contradict all families." in told
 
 
 def test_the_words_on_the_prior_agree_with_the_shares() -> None:
@@ -245,6 +250,13 @@ def test_the_chain_is_tabled_only_where_emcee_ran() -> None:
 @pytest.fixture(scope="module")
 def html() -> str:
     return paint_report(RED.fit, RED.bands)
+
+
+@pytest.mark.parametrize(("lights_nm", "word"), [((450.0,), "not"), ((450.0, 520.0), "hardly")])
+def test_the_terminal_tells_what_several_lights_measured(capsys, lights_nm, word) -> None:
+    reradiation = RED.fit.reradiation.model_copy(update={"prior_driven": True, "measured_at_nm": lights_nm})
+    _say_result(RED.fit.model_copy(update={"reradiation": reradiation}), Path("red.paint.json"), ())
+    assert f"from the prior and the emission: absorption {word} measured)" in capsys.readouterr().out
 
 
 def test_the_page_is_whole_self_contained_and_begins_with_the_verdict(html: str) -> None:

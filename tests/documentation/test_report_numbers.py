@@ -147,6 +147,9 @@ def test_assumptions_name_what_nobody_measured() -> None:
 
 def test_lines_break_neither_between_number_and_unit_nor_inside_an_interval() -> None:
     assert unbroken("-0.0 mm, [-0.0, 0.1], -0 % and -0.04") == "0.0\u00a0mm, [0.0,\u00a00.1], 0\u00a0% and -0.04"
+    assert unbroken("moved by -0.0. The next by -0.") == "moved by 0.0. The next by 0."
+    assert unbroken("run -0.json, version -0.0.1") == "run -0.json, version -0.0.1"
+    assert unbroken("allowed +-0 nm (+-0.0 %)") == "allowed +-0\u00a0nm (+-0.0\u00a0%)"
     assert unbroken("--angles=-0.0:90, pad-0.stl, 10-0") == "--angles=-0.0:90, pad-0.stl, 10-0"
     assert unbroken("4.4 % of 597 nm") == "4.4\u00a0% of 597\u00a0nm"
     assert unbroken("0.95 [0.92, 0.97] s") == "0.95 [0.92,\u00a00.97]\u00a0s"

@@ -300,6 +300,15 @@ def test_errors_of_the_reduction_name_what_the_folder_has(tmp_path):
         import_band_folder(folder)
 
 
+def test_an_image_whose_name_is_like_a_field_of_the_plan_keeps_it_in_errors(tmp_path):
+    folder = write_folder(tmp_path / "f", "RGB")
+    edit(folder, "laser_white.tif", "plan.tif")
+    full = np.full((SIDE_PX, SIDE_PX, 3), 2**14 - 1, np.uint16)
+    tifffile.imwrite(folder / "plan.tif", full)
+    with pytest.raises(RadiometryError, match=r"^plan\.tif: filter 450 is saturated"):
+        import_band_folder(folder)
+
+
 def test_a_note_on_the_region_names_the_description(tmp_path):
     folder = write_folder(tmp_path / "f", "RGB")
     for file in sorted((folder / "white").iterdir()):

@@ -101,7 +101,7 @@ def test_import_mistakes_end_with_status_2(tmp_path):
     edit(folder, "height_px = 40", "height_px = 2")
     outcome = finray(f"import bands {folder} --out {tmp_path}/o.json")
     assert outcome.status == 2
-    assert outcome.err.startswith(f"finray import: error: {folder}: plan.region: 2 x 40 px")
+    assert outcome.err.startswith(f"finray import: error: {folder}: bands.toml: region: 2 x 40 px")
 
 
 def test_monochrome_import_is_accepted_by_the_fit(tmp_path):

@@ -1,5 +1,6 @@
 """``finray import signals``: band signals that somebody else measured, typed into a table."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +148,22 @@ def test_filters_may_be_described_by_the_table(tmp_path, rig):
     assert described.optics.filters[3].fwhm_uncertainty_nm == 0.6  # of a catalogue
 
 
+def test_widths_without_centres_are_refused_instead_of_left_out(tmp_path, rig):
+    for name, value in (("fwhm_nm", 50.0), ("blocking_od", 2.0)):
+        with pytest.raises(ImportFormatError, match=f"has the column '{name}', but neither 'center_nm' nor 'curve'"):
+            imported(tmp_path, {name: np.full(7, value), **exact()}, rig)
+
+
+def test_empty_columns_of_a_spreadsheet_are_left_out(tmp_path, rig):
+    plain = imported(tmp_path, exact(), rig)
+    text = (tmp_path / "red.csv").read_text().replace("\n", ",,\n")
+    (tmp_path / "red.csv").write_text(text)
+    assert_same(plain, import_signal_table(tmp_path / "red.csv", rig)[0])
+    (tmp_path / "red.csv").write_text(text[:-2] + "7\n")
+    with pytest.raises(ImportFormatError, match=r"line 8: has a value in a column without a name; name or remove"):
+        import_signal_table(tmp_path / "red.csv", rig)
+
+
 def test_a_measured_curve_lies_beside_the_table(tmp_path):
     rows = "".join(f"{x},{0.8 * 2.0 ** (-((2 * (x - 601) / 9.0) ** 4)):.6f}\n" for x in np.arange(585.0, 618.0, 0.5))
     (tmp_path / "fb600.csv").write_text("wavelength_nm,transmission\n" + rows)
@@ -185,6 +202,10 @@ def test_without_white_under_the_laser_a_yield_must_be_assumed_and_the_name_says
     outcome = finray(f"import signals {tmp_path}/red.csv --rig {rig} --assume-yield 20")
     assert outcome.status == 2
     assert "'20' must be a yield above 0 and at most 1" in outcome.err
+    dim = {name: column[:2] for name, column in values.items()}
+    for columns, names in ((dim, ["450", "500"]), ({**values, "paint_laser": -values["paint_laser"]}, None)):
+        with pytest.raises(ImportFormatError, match=r"the emission has no area, .* of two or more filters"):
+            imported(tmp_path, columns, rig, SignalOptions(assumed_yield=0.1), names=names)
 
 
 def test_a_calibrated_spectrometer_needs_no_lamp(tmp_path):
@@ -201,8 +222,15 @@ def test_a_calibrated_spectrometer_needs_no_lamp(tmp_path):
     with pytest.raises(ImportFormatError, match=r"has no reading in the column 'white_lamp' .* give --calibrated"):
         imported(tmp_path, alone, None, BLUE_LASER)
     lit = {**OF_FILTERS, **without(exact(values), "white_lamp")}
+    calibrated = SignalOptions(laser_nm=450.0, calibrated=True)
     with pytest.raises(ImportFormatError, match="'paint_lamp', but none of the white reference under the lamp"):
-        imported(tmp_path, lit, None, SignalOptions(laser_nm=450.0, calibrated=True))
+        imported(tmp_path, lit, None, calibrated)
+    # radiance holds no response, which white from the curves would
+    with pytest.raises(ImportFormatError, match=r"^--response is given with --calibrated, but .*; leave one of"):
+        imported(tmp_path, alone, None, replace(calibrated, response=tmp_path / "response.csv"))
+    colours = {"channel": ["red"] * len(CENTERS_NM), **alone}
+    with pytest.raises(ImportFormatError, match="has the column 'channel', but a calibrated spectrometer has one"):
+        imported(tmp_path, colours, None, calibrated)
 
 
 def test_what_cannot_be_used_is_said(tmp_path, rig):
@@ -213,6 +241,54 @@ def test_what_cannot_be_used_is_said(tmp_path, rig):
     assert [flags[1] for flags in bands.flags] == ["ok", "ok", "weak", "ok", "ok", "ok", "weak"]
     assert "filter 532 is not used, because its white under the lamp is not above 10 standard" in str(bands.notes)
     assert "filter 660 is not used, because it has no reading of the paint under the laser" in str(bands.notes)
+    values["white_lamp"][2] = values["white_lamp_sd"][2] = np.nan
+    notes = str(imported(tmp_path, values, rig).notes)
+    assert "filter 532 is not used, because it has no reading of the white reference under the lamp" in notes
+
+
+def test_rows_without_a_dark_beside_rows_with_one_are_named(tmp_path, rig):
+    dark = np.array([0.0, 0.0, np.nan, 0.0, np.nan, 0.0, 0.0])
+    notes = imported(tmp_path, {**exact(), "dark": dark, "dark_sd": dark}, rig).notes
+    assert "no dark reading of filters 532, 600: their readings are taken as they are" in notes
+    # a row without readings needs no dark
+    values = {name: np.where(np.isnan(dark), np.nan, column) for name, column in exact().items()}
+    notes = imported(tmp_path, {**values, "dark": dark, "dark_sd": dark}, rig).notes
+    assert not any("no dark reading" in note for note in notes)
+
+
+def test_a_level_of_the_laser_that_is_hardly_measured_is_refused(tmp_path, rig):
+    """The mean of 1/V would be off, and a normal distribution of y no longer hold."""
+    imported(tmp_path, exact() | {"white_laser_sd": 0.09 * exact()["white_laser"]}, rig)
+    with pytest.raises(
+        ImportFormatError, match=r"'450': the level of the laser is known to 50 %, but .* 10 % or better"
+    ):
+        imported(tmp_path, exact() | {"white_laser_sd": 0.5 * exact()["white_laser"]}, rig)
+
+
+def test_ratios_that_cannot_be_are_refused(tmp_path, rig):
+    ratios = {"fluorescence": np.full(7, 0.05), "fluorescence_sd": np.full(7, 1e-3)}
+    imported(tmp_path, ratios, rig)
+    with pytest.raises(ImportFormatError, match=r"'450': the paint .* 8 times as bright as white .* at most 1\.2"):
+        imported(tmp_path, {**ratios, "fluorescence": np.array([8.0, *[0.05] * 6])}, rig)
+    with pytest.raises(ImportFormatError, match=r"red\.csv: the standard uncertainties of single values are too sm"):
+        imported(tmp_path, {**ratios, "fluorescence_sd": np.full(7, 1e-12)}, rig)
+    white = {name: exact()[name] for name in ("white_lamp", "white_lamp_sd")}
+    with pytest.raises(ImportFormatError, match="'white_lamp' beside 'fluorescence', whose values are already"):
+        imported(tmp_path, {**ratios, **white}, rig)
+
+
+def test_more_filters_than_a_record_holds_are_refused_in_words(tmp_path):
+    many = {name: np.ones(65) for name in ("paint_laser", "paint_laser_sd", "white_lamp", "white_lamp_sd")}
+    many |= {"center_nm": np.linspace(450.0, 770.0, 65), "fwhm_nm": np.full(65, 5.0)}
+    with pytest.raises(CurveError, match=r"red\.csv: has 65 filters, but at most 64 are supported; leave out"):
+        imported(tmp_path, many, None, BLUE_LASER, names=[f"f{k}" for k in range(65)])
+
+
+def test_names_keep_their_comma_under_a_header_in_capitals(tmp_path):
+    names = [f"{nm:g},5" for nm in CENTERS_NM]
+    path = tmp_path / "red.csv"
+    path.write_text(table({**OF_FILTERS, **exact()}, names, ";", ",").replace("filter;", "FILTER;"))
+    assert [band.name for band in import_signal_table(path, None, BLUE_LASER)[0].optics.filters] == names
 
 
 def test_a_colour_camera_and_ratios_of_its_own_give_the_same_record(tmp_path):
@@ -265,6 +341,15 @@ def test_the_template_is_read_once_it_is_filled_in(tmp_path, rig, channels):
     said = succeed(f"import signals {tmp_path}/t.csv --rig {rig} --out {tmp_path}/b.json")
     assert f"8 filters, {8 * channels} usable values" in said
     assert "paint_name" not in signal_template()
+
+
+def test_a_filter_whose_name_looks_like_a_comment_stays_in_the_template(tmp_path, rig):
+    rig.write_text(rig.read_text().replace('name = "600"', 'name = "#600"'))
+    assert '\n"#600",,' in signal_template(rig)
+    values = signal_template(rig).replace('\n"#600",,', '\n"#600",1,0.1')
+    (tmp_path / "t.csv").write_text(values)
+    with pytest.raises(ImportFormatError, match="has no reading in the column 'white_lamp'"):  # the row is read
+        import_signal_table(tmp_path / "t.csv", rig)
 
 
 def test_the_printed_table_is_read(tmp_path, rig):
@@ -337,9 +422,10 @@ def test_wrong_options_are_refused(tmp_path, rig):
         ("--laser-nm 450", "has no column that describes the filters, but no rig file is given; add the columns"),
         (f"--rig {rig} --laser-nm 470", "no filter passes the laser at 470 nm; correct the laser's wavelength"),
         (f"--rig {rig} --laser-fwhm-nm 90", "laser.fwhm_nm is 90 nm, but the excitation must be one line"),
-        (f"--rig {rig} --laser-nm 20", "wavelength_nm"),
+        (f"--rig {rig} --laser-nm 20", "error: --laser-nm (in nm): must be at least"),
         (f"--rig {rig} --lamp candle", "'candle' is not supported; give planck-2856K"),
-        (f"--rig {rig} --white-reflectance 98", "reflectance"),
+        (f"--rig {rig} --white-reflectance 98", "error: --white-reflectance: must be at most 1, got 98"),
+        (f"--rig {rig} --white-uncertainty-rel=-1", "error: --white-uncertainty-rel: must be"),
         (f"--rig {rig} --calibrated", "--calibrated needs the transmission of the integrals"),
         (f"--rig {rig} --channels 3", "--channels works only with --template"),
         (f"--rig {rig} --template", "--template reads no table, but writes an empty one"),
@@ -350,6 +436,10 @@ def test_wrong_options_are_refused(tmp_path, rig):
         assert message in outcome.err, outcome.err
         assert outcome.err.count("\n") == 1, outcome.err
     assert "TABLE is missing; give the table" in finray("import signals").err
+    for option in ("--laser-nm 450", "--calibrated", "--paint-name red", "--assume-yield 0.3", f"--response {path}"):
+        outcome = finray(f"import signals --template {option} --out {tmp_path}/t.csv")
+        assert (outcome.status, (tmp_path / "t.csv").exists()) == (2, False), option
+        assert f"{option.split()[0]} has no effect on an empty table; leave it out" in outcome.err
     path.write_text(table({**OF_FILTERS, **exact()}))
     assert "the wavelength of the laser is not known; give --rig RIG" in finray(f"import signals {path}").err
     wide = {**OF_FILTERS, "fwhm_nm": np.full(7, -1.0), **exact()}

@@ -139,5 +139,7 @@ def test_two_maxima_are_found_with_the_share_of_curves_that_have_them():
     # 570 and 650 nm stand 6.7 widths apart: the other dye adds nothing at a maximum
     assert found.second_to_first.estimate == pytest.approx(0.5, rel=1e-6)
     assert two_maxima(w, np.array([two[0], dye(600.0), dye(600.0)] * 50)) is None
+    # an interval needs 100 draws
+    assert two_maxima(w, np.array([two[0]] * 80 + [dye(600.0)] * 70)) is None
     rippled = dye(570.0) + 0.02 * dye(700.0)
     assert two_maxima(w, np.array([rippled] * 100)) is None

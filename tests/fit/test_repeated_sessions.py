@@ -65,6 +65,14 @@ def test_the_interval_of_the_common_level_holds_the_truth(session, level_of, num
     assert inside >= 48
 
 
+def test_tables_of_readings_have_no_pixels_together_either(session):
+    """Reports tell readings of a table by their one pixel; two of them were "photographed over 2 pixels"."""
+    rng = np.random.default_rng(1)
+    for pixels, together in (((1, 1), 1), ((1, 1, 1, 1), 1), ((64, 16), 80)):
+        sessions = [session(rng).model_copy(update={"region_pixels": number}) for number in pixels]
+        assert combine_sessions(sessions)[0].region_pixels == together
+
+
 def test_two_sessions_hold_their_level_as_often_as_stated_at_the_largest_scatter(session, level_of):
     """Levels that scatter by 8 %: the mean of two does not depend on how far they are apart, and the interval does."""
     rng, largest, held = np.random.default_rng(9), 0.08, []

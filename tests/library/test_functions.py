@@ -9,6 +9,7 @@ import finray_calib as finray
 from data_schemas import (
     CaptureError,
     DecideError,
+    FinrayError,
     FitError,
     ImportFormatError,
     PlainSensor,
@@ -236,8 +237,35 @@ def test_a_table_of_band_signals_is_imported(tmp_path):
     # (F / W) / (V / W_e) with one white reading for all filters
     np.testing.assert_allclose(bands.fluorescence[:, 1], [1 / 3, 0.2 / 3, 0.5 / 3, 0.1 / 3])
     assert f"{tmp_path}/red.csv" in bands.provenance.input_sha256
-    with pytest.raises(ImportFormatError, match="the wavelength of the laser is not known"):
+    with pytest.raises(ImportFormatError, match=r"is not known; give rig, or options\.laser_nm \(nm\)$"):
         finray.import_signals(tmp_path / "red.csv")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"laser_nm": 450.0}, r"^options: must be None or a SignalOptions, such as SignalOptions\(laser_nm=450\.0\)"),
+        *(
+            (
+                finray.SignalOptions(laser_nm=450.0, assumed_yield=value),
+                r"^options\.assumed_yield: must be a number a",
+            )
+            for value in (0.0, -0.2, 20, "a", float("nan"), True)
+        ),
+        (finray.SignalOptions(laser_nm="blue"), r"^options\.laser_nm \(in nm\): must be a number, got 'blue'"),
+        (finray.SignalOptions(laser_nm=450.0, paint_name=5), r"^options\.paint_name: must be text"),
+        (finray.SignalOptions(laser_nm=450.0, calibrated="no"), r"^options\.calibrated='no': must be True or False"),
+        (finray.SignalOptions(laser_nm=450.0, response=5), r"^options\.response: must be the path of a file"),
+        (finray.SignalOptions(laser_nm=450.0, response="none.csv"), r"^none\.csv: no such file"),
+        (finray.SignalOptions(laser_nm=450.0, white_reflectance=98), r"^options\.white_reflectance: must be at most 1"),
+    ],
+)
+def test_wrong_options_of_a_table_of_band_signals_are_refused(tmp_path, given, message):
+    row = "450,450,10,1,0.01,2,0.01,3,0.01\n"
+    header = "filter,center_nm,fwhm_nm,paint_laser,paint_laser_sd,white_lamp,white_lamp_sd,white_laser,white_laser_sd\n"
+    (tmp_path / "red.csv").write_text(header + row)
+    with pytest.raises(FinrayError, match=message):
+        finray.import_signals(tmp_path / "red.csv", options=given)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "a", None, True, 2**70])
