@@ -2,7 +2,7 @@
 
 Light is traced once for all paints. What facets of the coat send to the camera is kept chain by chain of fluorescence,
 so that conversions, emission spectra and the camera are a matrix product; the reflectance of the walls, which light
-meets on its way, is followed to first order from five steps.
+meets on its way, is followed to second order from nine scenes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -139,9 +139,9 @@ class PairPaths:
         Names of the chains of fluorescence.
     radiance_rel
         At the reflectances in the middle, for conversions of 1, (repeat, facet, point, chain).
-    growth
-        Relative change of ``radiance_rel`` up to the highest reflectance of a wall in the LED's band, or in the bands
-        of the paints: (wall, 2, repeat, facet, point, chain).
+    ends
+        ``radiance_rel`` at the lowest and at the highest reflectance of a wall in the LED's band, or in the bands of
+        the paints, over that in the middle: (wall, 2, 2, repeat, facet, point, chain).
     middle, half_range
         Reflectance of each wall in each band, (wall, band).
     places_mm
@@ -150,7 +150,7 @@ class PairPaths:
 
     chains: tuple[str, ...]
     radiance_rel: Floats
-    growth: Floats
+    ends: Floats
     middle: Floats
     half_range: Floats
     places_mm: Floats
@@ -159,12 +159,21 @@ class PairPaths:
         """Return the light of the facets, (repeat, facet, point, chain), of walls with these reflectances."""
         distance = np.array([bands.reflectance[wall] for wall in _WALLS]) - self.middle
         moved = np.divide(distance, self.half_range, out=np.zeros_like(distance), where=self.half_range > 0.0)
-        ends = np.array([BAND_NAMES.index(chain.rsplit(">", 1)[-1]) for chain in self.chains])
+        last = np.array([BAND_NAMES.index(chain.rsplit(">", 1)[-1]) for chain in self.chains])
         light = self.radiance_rel
         for k in range(len(_WALLS)):
-            light = light * (1.0 + moved[k, _LED] * self.growth[k, 0])
-            light = light * (1.0 + np.where(ends == _LED, 0.0, moved[k, ends]) * self.growth[k, 1])
+            light = light * _between(*self.ends[k, 0], moved[k, _LED])
+            light = light * _between(*self.ends[k, 1], np.where(last == _LED, 0.0, moved[k, last]))
         return light
+
+
+def _between(low: Floats, high: Floats, place: Floats) -> Floats:
+    """Return the parabola through low, 1 and high at -1, 0 and 1: light that meets a wall at most twice follows it.
+
+    Light grows with reflectance, so that it never leaves the ends, as a parabola through a higher power may.
+    """
+    parabola = 1.0 + place * (high - low) / 2.0 + place**2 * ((high + low) / 2.0 - 1.0)
+    return np.clip(parabola, np.minimum(np.minimum(low, high), 1.0), np.maximum(np.maximum(low, high), 1.0))
 
 
 def paint_pairs(
@@ -207,7 +216,7 @@ def paint_pairs(
     light = finger.design.light
     pairs = tuple(permutations(paints, 2))
     bands = [paint_bands(paints[red].optics, paints[green].optics, light) for red, green in pairs]
-    steps = Steps(progress, 2 * len(_WALLS) + 1 + len(pairs))
+    steps = Steps(progress, 4 * len(_WALLS) + 1 + len(pairs))
     traced = trace_pairs(finger, bands, paths, steps)
     drawn = {
         name: PaintEmission.drawn(paint, finger, draws, np.random.default_rng([seed, k]))
@@ -233,7 +242,7 @@ def paint_pairs(
 def trace_pairs(
     finger: UnpaintedFinger, bands: Sequence[PaintBands], paths: ProbePaths, steps: "Steps | None" = None
 ) -> PairPaths:
-    """Trace the facets for all pairs: in the middle of their reflectances, and with one group of them at its highest.
+    """Trace the facets for all pairs: in the middle of their reflectances, and with one group of them at either end.
 
     Parameters
     ----------
@@ -261,14 +270,14 @@ def trace_pairs(
         return found.chains, found.radiance_rel
 
     chains, base = traced(middle)
-    growth = np.zeros((len(_WALLS), 2, *base.shape))
-    for wall in range(len(_WALLS)):
-        for group, of_bands in enumerate(([_LED], [k for k in range(len(BAND_NAMES)) if k != _LED])):
-            raised = middle.copy()
-            raised[wall, of_bands] = high[wall, of_bands]
-            # facets that get no light of a chain get none with brighter walls either
-            growth[wall, group] = np.divide(traced(raised)[1], base, out=np.ones_like(base), where=base > 0.0) - 1.0
-    return PairPaths(chains, base, growth, middle, half_range, points.places_mm)
+    ends = np.ones((len(_WALLS), 2, 2, *base.shape))
+    for wall, group, end in np.ndindex(ends.shape[:3]):
+        of_bands = [k for k in range(len(BAND_NAMES)) if (k == _LED) == (group == 0)]
+        moved = middle.copy()
+        moved[wall, of_bands] = (low, high)[end][wall, of_bands]
+        # facets that get no light of a chain get none with brighter walls either
+        np.divide(traced(moved)[1], base, out=ends[wall, group, end], where=base > 0.0)
+    return PairPaths(chains, base, ends, middle, half_range, points.places_mm)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from finray_calib.fit import (
-    NO_DISCREPANCY,
     PAINT_DISCREPANCY,
     EmissionPrior,
     LogPosterior,
@@ -19,10 +18,10 @@ FAIR_PARETO_K = 0.7
 EMISSION_BANDS = [0, 2, 3, 4, 5, 6, 7]
 
 
-def sampled(data, discrepancy, seed):
+def sampled(data, seed):
     """Return posterior, draws and evidence by the adapted proposal."""
     rng = np.random.default_rng(seed)
-    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), discrepancy)
+    posterior = LogPosterior(data, LOG_NORMAL, EmissionPrior(), PAINT_DISCREPANCY)
     proposal = MixtureProposal.around(find_maxima(posterior, rng), posterior.prior).adapted(posterior, rng)
     sample = importance_sample(posterior, proposal, 6000, rng)
     assert sample.ln_evidence_sd < 0.1
@@ -34,21 +33,20 @@ def equal_weights(theta):
     return WeightedSample(theta, np.full(len(theta), 1 / len(theta)), 0.0, float(len(theta)), 0.0, 0.0)
 
 
-@pytest.mark.parametrize("discrepancy", [NO_DISCREPANCY, PAINT_DISCREPANCY], ids=["family alone", "with discrepancy"])
-def test_scores_are_ratios_of_evidences_with_and_without_the_band(weights, discrepancy):
+def test_scores_are_ratios_of_evidences_with_and_without_the_band(weights):
     """p(y_b | y_-b) = Z(all) / Z(without b), by refits."""
-    data, _ = simulate(orange(), weights, np.random.default_rng(4), discrepancy=discrepancy)
-    posterior, sample = sampled(data, discrepancy, 11)
+    data, _ = simulate(orange(), weights, np.random.default_rng(4), discrepancy=PAINT_DISCREPANCY)
+    posterior, sample = sampled(data, 11)
     got = leave_one_band_out(posterior, sample)
-    others = [sampled(without_band(data, b), discrepancy, 2 + b)[1].ln_evidence for b in EMISSION_BANDS]
+    others = [sampled(without_band(data, b), 2 + b)[1].ln_evidence for b in EMISSION_BANDS]
     exact = np.full(8, np.nan)
     exact[EMISSION_BANDS] = sample.ln_evidence - np.array(others)
     fair = got.pareto_k < FAIR_PARETO_K
-    assert fair.sum() >= (4 if discrepancy.acts else 2)  # without discrepancy each band decides the fit
+    assert fair.sum() >= 4
     # two thousand draws with weights of shape up to 0.7 scatter by 2000^(0.7 - 1), a tenth; 3 sd of it
     assert np.abs(got.ln_density - exact)[fair].max() < 0.3
     # the sum over all bands, indicative ones too, decides between families on differences of nats
-    assert not discrepancy.acts or abs(got.total - np.nansum(exact)) < 1.5
+    assert abs(got.total - np.nansum(exact)) < 1.5
 
 
 def test_a_band_that_nothing_depends_on_is_predicted_by_the_others_exactly(weights):

@@ -59,7 +59,7 @@ def like_the_led(paint):
 @pytest.mark.renderer
 def test_the_ranking_is_the_one_that_was_made(llvm, paints):
     red, green = paints["red"], paints["green"]
-    dull = replace(red, emission_per_nm=red.emission_per_nm / 2.0)
+    dull = replace(red, emission_per_nm=red.emission_per_nm / 4.0)
     candidates = {
         "red": calibrated(red, 1),
         "twin": calibrated(red, 2),
@@ -72,7 +72,7 @@ def test_the_ranking_is_the_one_that_was_made(llvm, paints):
         finger(llvm), candidates, 1, DRAWS, ProbePaths(RAYS, REPEATS, 1), lambda done, total, what: told.append(done)
     )
     assert len(found.pairs) == 20
-    assert told == list(range(1, 26))
+    assert told == list(range(1, 30))
     assert found.normal_error_deg.shape == found.separation_deg.shape == (20, DRAWS)
     ranking = rank_by_draws(found.normal_error_deg)
     number = {pair: k for k, pair in enumerate(found.pairs)}
@@ -81,7 +81,7 @@ def test_the_ranking_is_the_one_that_was_made(llvm, paints):
     def is_worse(one, other):
         return mean[number[one]] > mean[number[other]] and ranking.distinguishable[number[one], number[other]]
 
-    # half the yield, the same colour
+    # a quarter of the yield, the same colour; half of it differs by as much as so few paths scatter
     assert is_worse(("dull", "green"), ("red", "green"))
     assert is_worse(("green", "dull"), ("green", "red"))
     # what the camera cannot tell from LED light
@@ -102,7 +102,9 @@ def test_one_set_of_paths_gives_what_each_pair_gives_by_itself(llvm, paints):
     absorbing = replace(red, absorption_rel=np.exp(-0.5 * ((red.wavelength_nm - 500.0) / 50.0) ** 2))
     pale = replace(red, reflectance=np.minimum(0.1 + 0.6 * red.reflectance, 1.0))
     light, paths = DESIGN.light, ProbePaths(RAYS, REPEATS, 1)
-    pairs = [paint_bands(one, other, light) for one, other in ((absorbing, green), (green, absorbing), (pale, green))]
+    # the last emits where it reflects nothing, the others where they reflect nearly all
+    chosen = ((absorbing, green), (green, absorbing), (pale, green), (like_the_led(red), green))
+    pairs = [paint_bands(one, other, light) for one, other in chosen]
     traced = trace_pairs(finger(llvm), pairs, paths)
     rest = rest_shape(DESIGN)
     points = seen_points(DESIGN, rest, llvm, POINTS_ACROSS, POINTS_ALONG)
@@ -113,7 +115,8 @@ def test_one_set_of_paths_gives_what_each_pair_gives_by_itself(llvm, paints):
         }
         found = traced.of(bands) @ chain_matrix(traced.chains, conversions).T
         alone = measure_together([DESIGN], rest, bands, llvm, points.probes, facets, paths, None)[0]
-        # measured 0.2 to 1.3 % over reflectances that differ by up to 0.6, and 1.3 % by the coat's wavelength
+        # measured 0.2 to 2.5 %, of which up to 2 % are the coat's wavelength; without the lower ends light is negative
+        assert (found >= 0.0).all()
         assert np.abs(found / alone - 1.0).mean(axis=(0, 1, 2)).max() < 0.035
         # of the colours relative to no contact, which the map from colour to normal takes
         relative = (found / found[:, :1]) / (alone / alone[:, :1])
