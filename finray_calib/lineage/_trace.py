@@ -200,10 +200,10 @@ class Tracer:
             named[str(array_file.get("file"))] = str(array_file.get("sha256"))
         for name, digest in named.items():
             file = path.parent / name
-            if not file.resolve().is_relative_to(path.parent.resolve()):
-                yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
-            elif not has_file(file):
+            if not has_file(file):
                 yield FileFault(file, "missing", f"is missing; it belongs to {path.name}")
+            elif not file.resolve().is_relative_to(path.parent.resolve()):
+                yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
             elif self._digest(file) != digest:
                 yield FileFault(file, "changed", f"was changed: its SHA-256 is not the one in {path.name}")
 

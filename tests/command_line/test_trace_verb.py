@@ -111,6 +111,16 @@ def test_records_before_seals_are_read_and_say_so(tmp_path):
     assert "missing" in outcome.out
 
 
+def test_a_name_that_no_file_can_have_is_a_missing_file(tmp_path):
+    shutil.copytree(FROZEN / "LightAngleDecision" / "v1", tmp_path / "old")
+    path = tmp_path / "old" / "example.json"
+    envelope = json.loads(path.read_text())
+    write_sealed(path, envelope | {"companions": {"a\0b": "0" * 64}})
+    outcome = finray(f"trace {path}")
+    assert outcome.status == 1
+    assert "is missing; it belongs to example.json" in outcome.out
+
+
 def test_replay_of_a_decision_agrees(decided):
     said = succeed(f"trace {decided}/decision.json --replay")
     agrees = re.search(
