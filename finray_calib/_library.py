@@ -67,7 +67,7 @@ def read_record(path: PathLike) -> Record:
         It was changed after it was written.
     """
     from data_schemas.json_schemas import STORED
-    from data_schemas.storage import A_RECORD, read_json
+    from data_schemas.storage import A_RECORD, read_json, stored_kind
     from rigs.capture import SESSION_NAME
 
     file = given_path(path, "path")
@@ -80,7 +80,7 @@ def read_record(path: PathLike) -> Record:
     if file.suffix == ".toml":
         raise RecordError(f"{file}: is a TOML file, not a stored record; to read a finger design, call finger_design")
     envelope = read_json(file, A_RECORD)
-    kind = envelope.get("kind") if isinstance(envelope, dict) else None
+    kind = stored_kind(envelope)
     kinds = {record_type.__name__: record_type for record_type in STORED}
     if kind not in kinds:
         raise RecordError(

@@ -75,7 +75,7 @@ if TYPE_CHECKING:
         manifest_text,
         write_manifest,
     )
-    from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, write_record
+    from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, stored_kind, write_record
     from data_schemas.storage._whole_files import (
         given_path,
         lock,
@@ -147,6 +147,7 @@ __all__ = [
     "rggb_frame",
     "sha256_of",
     "stopping_together",
+    "stored_kind",
     "tell",
     "tiff_image",
     "write_atomically",

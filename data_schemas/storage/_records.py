@@ -130,6 +130,12 @@ def _nan_to_none(value: Any) -> Any:
     return None if isinstance(value, float) and value != value else value
 
 
+def stored_kind(envelope: object) -> str | None:
+    """Return the kind of record that the content of a JSON file names; None where it names none."""
+    kind = envelope.get("kind") if isinstance(envelope, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
 def read_record(path: Path, record_type: type[R]) -> R:
     """Read a stored record and check its kind, version, checksum and every field.
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import ImportFormatError
+from data_schemas import ImportFormatError, MissingExtraError
 from data_schemas.storage import files_below, folder_at, read_json
 from finray_calib.exchange._capture_recipe import PLACEHOLDER
 from finray_calib.exchange._set_files import (
@@ -142,7 +142,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
     for path in sorted(islice(files_below(inside), _MOST_SURVEYED)):
         name = path.relative_to(inside).as_posix()
         if not path.name.startswith("."):
-            found.setdefault(_RUN_OF_DIGITS.sub("#", name), []).append(name)
+            found.setdefault(_RUN_OF_DIGITS.sub("\0", name), []).append(name)  # no name of a file holds a NUL
     if not found:
         raise ImportFormatError(f"{folder}: contains no file; give the folder of the set")
     kinds = [_Kind(names) for names in sorted(found.values(), key=len, reverse=True)]
@@ -398,7 +398,7 @@ def _look(kind: _Kind, path: Path) -> None:
     """Note what the first file of a kind holds; what cannot be read says why not."""
     try:
         kind.told = _content(kind, path)
-    except ImportFormatError as why:
+    except (ImportFormatError, MissingExtraError) as why:
         kind.told = str(why).removeprefix(f"{path}: ")
 
 

@@ -183,7 +183,7 @@ LAYOUT_VERSION = "1.0"
 VERSION_ATTRIBUTE = "spectralLayoutVersion"
 # A hundred samples per band square: the diagonal edge of the emission cuts through the squares.
 _SAMPLES_PER_BAND = 10
-_WAVELENGTH = r"(\d*,?\d*(?:[eE][-+]?\d+)?)nm"
+_WAVELENGTH = r"((?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?)nm"
 _CHANNEL = re.compile(rf"^T\.{_WAVELENGTH}(?:\.{_WAVELENGTH})?$")
 
 

@@ -438,7 +438,8 @@ class _Folder:
         if force is None:
             strength = np.array([np.abs(small_frame(frame_of(frame, path)) - first).mean() for frame in frames])
         else:  # many load cells count compression as negative, or rest beside zero
-            strength = np.abs(force - np.median(force[:before]))
+            force -= np.median(force[:before])
+            strength = np.abs(force)
         if not strength.max() > 0.0:
             raise LeftOutError("nothing changes in its video")
         self._pictures.clear()

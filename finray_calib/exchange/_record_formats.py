@@ -45,15 +45,17 @@ if TYPE_CHECKING:
 CHANNELS = ("red", "green", "blue")
 AXES = ("x", "y", "z")
 UNITS_OF_VECTORS = frozenset({"mm", "N", "N mm", "deg", "MPa"})
+UNIT_VECTORS = frozenset({"normal"})
 GRID_UNITS = "nm|deg|mm|s"
 
 
 def record_dataset(record: Record) -> "Dataset":
     """Return the arrays of a record; numbers and words of it become attributes.
 
-    Red, green and blue of a filter or a pixel lie along "channel", the components of places, forces and turns along
-    "axis"; another dimension of fixed length N without a name is "axis_N". An array along one dimension that is named
-    after it (`wavelength_nm` along "wavelength", `grid_deg`) is its coordinate.
+    Red, green and blue of a filter or a pixel lie along "channel", the components of places, normals, forces and turns
+    along "axis"; another dimension of fixed length N without a name is "axis_N". A dimension that has the name of an
+    array of the record, such as "channel" of pixel signals, is "channel_axis". An array along one dimension that is
+    named after it (`wavelength_nm` along "wavelength", `grid_deg`) is its coordinate.
 
     Parameters
     ----------
@@ -73,21 +75,24 @@ def record_dataset(record: Record) -> "Dataset":
         raise MissingExtraError("to_xarray needs xarray; install it with pip install 'finray-calib[netcdf]'") from None
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
-    for name, field in type(record).model_fields.items():
-        value = getattr(record, name)
-        if not isinstance(value, np.ndarray):
-            continue
+    fields = type(record).model_fields
+    arrays = {name: value for name in fields if isinstance(value := getattr(record, name), np.ndarray)}
+    named = getattr(record, "channels", None)  # of some records an array, of others their names
+    labels = {"channel": named if isinstance(named, tuple) else CHANNELS, "axis": AXES}
+    for name, value in arrays.items():
+        field = fields[name]
         spec = _spec(field.annotation, field.metadata)
         unit = "1" if spec is None else "1/nm" if spec.unit == "1" and name.endswith("_per_nm") else spec.unit
         dims = _dims(spec.dims if spec is not None else (), value.shape, name, unit)
+        dims = tuple(f"{dim}_axis" if dim in arrays else dim for dim in dims)
         attributes = {"units": unit}
         if field.description:
             attributes["long_name"] = field.description
         is_grid = len(dims) == 1 and re.fullmatch(rf"({re.escape(dims[0])}s?|grid)_({GRID_UNITS})", name) is not None
         (coordinates if is_grid else variables)[name] = (dims, value, attributes)
-        for dim, labels in (("channel", CHANNELS), ("axis", AXES)):
-            if dim in dims:
-                coordinates[dim] = ((dim,), np.array(labels), {})
+        for dim in dims:
+            if (names := labels.get(dim.removesuffix("_axis"))) is not None:
+                coordinates[dim] = ((dim,), np.array(names), {})
     if not variables:
         raise RecordError(
             f"this record ({type(record).__name__}) has no array that xarray could hold; read its fields instead, "
@@ -158,9 +163,9 @@ def _dims(names: tuple[str, ...], shape: tuple[int, ...], field: str, unit: str)
     for place, size in enumerate(shape):
         name = names[place] if place < len(names) else str(size)
         if name.isdigit():
+            is_vector = (unit in UNITS_OF_VECTORS or field in UNIT_VECTORS) and place == len(shape) - 1
             of_light = field == "channels" or (found and found[-1] in {"filter", "column"})
-            is_vector = unit in UNITS_OF_VECTORS and place == len(shape) - 1
-            of_three = "channel" if of_light else "axis" if is_vector else "axis_3"
+            of_three = "axis" if is_vector else "channel" if of_light else "axis_3"
             name = of_three if name == "3" else f"axis_{name}"
         found.append(name if name not in found else f"{name}_{place}")
     return tuple(found)

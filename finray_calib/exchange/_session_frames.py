@@ -32,7 +32,7 @@ from data_schemas import (
     TactileFrame,
     TactileSession,
 )
-from data_schemas.storage import digest_as_read, has_file, read_frame, read_json, read_record
+from data_schemas.storage import digest_as_read, has_file, read_frame, read_json, read_record, stored_kind
 from rigs.capture import SESSION_KINDS, SESSION_NAME, read_session
 
 Buffer = bytes | bytearray | memoryview
@@ -283,7 +283,7 @@ def read_session_frames(folder: Path) -> SessionFrames:
     """
     path = folder / SESSION_NAME
     stored = read_json(path, "a capture session (.json)") if path.is_file() else None
-    kind = stored.get("kind") if isinstance(stored, dict) else None
+    kind = stored_kind(stored)
     session = read_record(path, SESSION_KINDS[kind]) if kind in SESSION_KINDS else read_session(folder)
     seen = _tactile(folder, session) if isinstance(session, TactileSession) else _bench(folder, session)
     if not seen.frames:

@@ -501,11 +501,13 @@ def orientation(content: bytes) -> int:
     if content.startswith(TIFF_STARTS[:2]):
         exif = content
     else:
-        mark, behind = (b"Exif\0\0", 6) if content.startswith((b"\xff\xd8", b"RIFF")) else (b"eXIf", 4)
-        at = content.find(mark, 0, 1 << 16) if content.startswith(b"\xff\xd8") else content.find(mark)
+        is_jpeg, is_webp = content.startswith(b"\xff\xd8"), content.startswith(b"RIFF")
+        mark = b"Exif\0\0" if is_jpeg else b"EXIF" if is_webp else b"eXIf"
+        behind = len(mark) + 4 * is_webp  # where the size of a chunk follows its name
+        at = content.find(mark, 0, 1 << 16) if is_jpeg else content.find(mark)
         if at < 0:
             return _UPRIGHT
-        exif = content[at + behind : at + behind + (1 << 16)]
+        exif = content[at + behind : at + behind + (1 << 16)].removeprefix(b"Exif\0\0")
     order = {b"II": "little", b"MM": "big"}.get(exif[:2])
     if order not in ("little", "big"):
         return _UPRIGHT
@@ -569,11 +571,29 @@ def require_alike(pictures: Mapping[Path, NDArray[Any]]) -> None:
 
 
 def exr_rgb(path: Path) -> Floats:
-    """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero."""
+    """Return the channels R, G, B of an OpenEXR image, (H, W, 3), none below zero.
+
+    Those without a layer are its picture, else those of the only layer that has all three.
+
+    Raises
+    ------
+    ImportFormatError
+        It cannot be read, lacks a channel, has several layers of colours, or holds what is no finite number.
+    """
     found: dict[str, NDArray[Any]] = exr_pixels(path)
-    names = {name.rsplit(".", 1)[-1].upper(): name for name in found}
-    if not {"R", "G", "B"} <= names.keys():
+    layers: dict[str, dict[str, str]] = {}
+    for name in found:
+        layer, _, colour = name.rpartition(".")
+        layers.setdefault(layer, {})[colour.upper()] = name
+    pictures = {layer: names for layer, names in layers.items() if {"R", "G", "B"} <= names.keys()}
+    if not pictures:
         raise ImportFormatError(f"{path}: must have the channels R, G and B, got {', '.join(sorted(found)) or 'none'}")
+    if "" not in pictures and len(pictures) > 1:
+        raise ImportFormatError(
+            f"{path}: has several layers of R, G and B ({', '.join(sorted(pictures))}), so it is unknown which is the "
+            "picture; save the layer of the picture alone"
+        )
+    names = pictures.get("") or next(iter(pictures.values()))
     image = np.stack([np.asarray(found[names[c]], dtype=np.float64) for c in "RGB"], axis=-1)
     if image.ndim != 3 or not np.isfinite(image).all():
         raise ImportFormatError(f"{path}: contains NaN or infinite values; render it again")

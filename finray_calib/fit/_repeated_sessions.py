@@ -93,6 +93,7 @@ def combine_sessions(sessions: Sequence[BandSignals]) -> tuple[BandSignals, Sess
             # readings of a table, with one each, have none
             "region_pixels": max(sum(one.region_pixels for one in sessions if one.region_pixels > 1), 1),
             "bleaching": None,
+            "tilt_ratios": tuple(ratio for one in sessions for ratio in one.tilt_ratios),
             "provenance": None,
             "notes": (*_notes(scatter), *(f"session {i}: {n}" for i, s in enumerate(sessions, 1) for n in s.notes)),
         }

@@ -38,6 +38,7 @@ from data_schemas.storage import (
     read_json,
     read_record,
     sha256_of,
+    stored_kind,
 )
 from rigs.capture import JOURNAL_NAME, SESSION_KINDS, SESSION_NAME, verify_session
 
@@ -164,8 +165,8 @@ class Tracer:
             envelope = read_json(path, A_RECORD)
         except FinrayError as error:
             return Traced(name, path, "file", (_changed(path, error),))
-        kind = envelope.get("kind") if isinstance(envelope, dict) else None
-        if kind not in KINDS:
+        kind = stored_kind(envelope)
+        if kind is None or kind not in KINDS:
             return Traced(name, path, "file")
         return self._record(name, path, envelope, kind)
 
@@ -199,10 +200,10 @@ class Tracer:
             named[str(array_file.get("file"))] = str(array_file.get("sha256"))
         for name, digest in named.items():
             file = path.parent / name
-            if not file.resolve().is_relative_to(path.parent.resolve()):
-                yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
-            elif not has_file(file):
+            if not has_file(file):
                 yield FileFault(file, "missing", f"is missing; it belongs to {path.name}")
+            elif not file.resolve().is_relative_to(path.parent.resolve()):
+                yield FileFault(path, "changed", f"names {name!r}, which is outside of its folder")
             elif self._digest(file) != digest:
                 yield FileFault(file, "changed", f"was changed: its SHA-256 is not the one in {path.name}")
 
@@ -218,7 +219,8 @@ class Tracer:
         for file in named:
             if self._digest(file) == digest:
                 return self._traced_file(name, file, digest, provenance)
-        for file in self._neighbours(path.parent, PurePosixPath(name).suffix):
+        beside = [file for file in files_in(path.parent) if file.suffix == PurePosixPath(name).suffix]
+        for file in beside[:MOST_NEIGHBOURS]:
             if self._digest(file) == digest:
                 found = self._traced_file(name, file, digest, provenance)
                 return replace(found, notes=(f"found by its SHA-256 as {file}", *found.notes))
@@ -242,10 +244,6 @@ class Tracer:
         for first in range(1, len(parts)):
             for start in above:
                 yield start.joinpath(*parts[first:])
-
-    def _neighbours(self, folder: Path, suffix: str) -> list[Path]:
-        """Return files beside a record that an input may be, under another name."""
-        return [file for file in files_in(folder) if file.suffix == suffix][:MOST_NEIGHBOURS]
 
     def _unlike(
         self, path: Path, wanted: str | None, consumer: Provenance | None, own: Traced
@@ -385,9 +383,9 @@ def _record(tracer: Tracer, path: Path, faults: dict[FileFault, None]) -> Iterat
     try:
         envelope = read_json(path)
     except FinrayError as error:
-        faults[FileFault(path, "changed", str(error).removeprefix(f"{path}: "))] = None
+        faults[_changed(path, error)] = None
         return
-    if isinstance(envelope, dict) and envelope.get("kind") in KINDS:
+    if stored_kind(envelope) in KINDS:
         yield tracer.trace(path)
 
 
@@ -414,16 +412,14 @@ def _missing_checksums(folder: Path) -> Iterator[FileFault]:
     """Yield finished demos whose checksums are missing."""
     for mark in _visible(folder):
         demo = mark.parent
-        if mark.name != DEMO_MARK[0] or not all(has_file(demo / name) for name in DEMO_MARK):
-            continue
-        if not has_file(demo / MANIFEST_NAME):
+        is_finished = mark.name == DEMO_MARK[0] and all(has_file(demo / name) for name in DEMO_MARK)
+        if is_finished and not has_file(demo / MANIFEST_NAME):
             yield FileFault(demo / MANIFEST_NAME, "missing", "the checksums of a finished demo are missing")
 
 
 def _unbound(folder: Path, bound: set[Path]) -> Iterator[str]:
     """Yield what no record and no checksums speak of."""
-    names = {MANIFEST_NAME}
-    loose = [path for path in _visible(folder) if path.resolve() not in bound and path.name not in names]
+    loose = [path for path in _visible(folder) if path.resolve() not in bound and path.name != MANIFEST_NAME]
     if loose:
         shown = ", ".join(str(path.relative_to(folder)) for path in loose[:5])
         more = f" and {len(loose) - 5} more" if len(loose) > 5 else ""
@@ -539,14 +535,18 @@ def _arguments(words: tuple[str, ...], tree: Traced, folder: Path) -> list[str]:
         option, equals, value = word.partition("=")
         if is_output:
             arguments.append(str(folder / Path(word).name))
-        elif equals and option in OUTPUTS:
-            arguments.append(f"{option}={folder / Path(value).name}")
         elif equals:
-            arguments.append(f"{option}={_found(value, found)}")
+            place = folder / Path(value).name if _is_output(option) else _found(value, found)
+            arguments.append(f"{option}={place}")
         else:
             arguments.append(_found(word, found))
-        is_output = word in OUTPUTS
+        is_output = _is_output(word)
     return arguments
+
+
+def _is_output(word: str) -> bool:
+    """Return whether a word is an option of an output, or a beginning of it that is none of another option."""
+    return word.startswith(("--o", "--rep")) and any(option.startswith(word) for option in OUTPUTS)
 
 
 def _found(word: str, found: Mapping[str, Path]) -> str:
@@ -582,10 +582,9 @@ def _same_product(folder: Path, path: Path, kind: str) -> Path:
 def _kind_of(file: Path) -> str | None:
     """Return the kind of a stored record."""
     try:
-        envelope = read_json(file)
+        return stored_kind(read_json(file))
     except FinrayError:
         return None
-    return envelope.get("kind") if isinstance(envelope, dict) else None
 
 
 def compare(kind: str, before: Mapping[str, Any], again: Mapping[str, Any]) -> Replayed:
@@ -657,7 +656,7 @@ def _array_difference(a: np.ndarray, b: np.ndarray) -> tuple[int, int, float]:
         return a.size, 0, 0.0
     if a.dtype.kind != "f":
         return a.size, int(differs.sum()), math.inf
-    scale = float(np.nanmax(np.abs(a)))
+    scale = float(np.max(np.abs(a), where=np.isfinite(a), initial=0.0))  # by infinity any difference would be 0
     with np.errstate(invalid="ignore"):
         largest = float(np.max(np.abs(a[differs].astype(np.float64) - b[differs])))
     return a.size, int(differs.sum()), largest / scale if math.isfinite(largest) and scale > 0.0 else math.inf

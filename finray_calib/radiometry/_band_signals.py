@@ -35,6 +35,7 @@ directions.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,6 +143,7 @@ def bands_of_steps(session: CaptureSession, steps: SessionSteps, accept_repeat: 
             *_beyond_the_tile(steps),
             *([] if trend is None else [bleaching_note(trend.record)]),
             *map(tilt_note, ratios),
+            *_untested_tilts(steps, ratios),
         ),
     )
 
@@ -319,6 +321,8 @@ DIFFUSE_WITHIN_SD = 2.0
 def tilt_ratios(steps: SessionSteps, trend: BleachingTrend | None) -> tuple[TiltRatio, ...]:
     """Return the ratio to the cosine for each filter of the tilted sample; empty when it was not captured.
 
+    A filter of which no channel has a signal both with and without the tilt is left out.
+
     Parameters
     ----------
     steps
@@ -331,19 +335,24 @@ def tilt_ratios(steps: SessionSteps, trend: BleachingTrend | None) -> tuple[Tilt
         name = tilted.exposures[0].frame.filter_name
         if name in steps.names:
             index = steps.names.index(name)
-            ratios.append(
-                _tilt_ratio(steps, steps.fluorescence[index], tilted, None if index == steps.excitation else trend)
-            )
+            flat = steps.fluorescence[index]
+            if _both_seen(flat, tilted).any():
+                ratios.append(_tilt_ratio(steps, flat, tilted, None if index == steps.excitation else trend))
     return tuple(ratios)
+
+
+def _both_seen(flat: StepSignal, tilted: StepSignal) -> NDArray[np.bool_]:
+    """Return which channels (3,) have a signal without and with the tilt; a saturated one (NaN) has none."""
+    return np.asarray((flat.signal_dn_per_s > 0) & (tilted.signal_dn_per_s > 0))
 
 
 def _tilt_ratio(steps: SessionSteps, flat: StepSignal, tilted: StepSignal, trend: BleachingTrend | None) -> TiltRatio:
     """Compare one filter's tilted and untilted signals."""
     f, t = flat.signal_dn_per_s, tilted.signal_dn_per_s
-    good = (f > 0) & (t > 0)
+    good = _both_seen(flat, tilted)
     f, t = np.where(good, f, 1.0), np.where(good, t, 1.0)
     noise = np.where(good, flat.noise_variance / f**2 + tilted.noise_variance / t**2, np.inf)
-    weight = 1 / noise / max((1 / noise).sum(), np.finfo(float).tiny)
+    weight = 1 / noise / (1 / noise).sum()
     covariance = signal_covariance((flat, tilted), steps.darks, steps.repeatability_rel)
     slope = np.concatenate([-weight / f, weight / t])
     tilt_deg = tilted.exposures[0].frame.tilt_deg
@@ -375,6 +384,17 @@ def tilt_note(ratio: TiltRatio) -> str:
         f"sample tilted by {ratio.tilt_deg:g} deg, filter {ratio.filter_name}: {ratio.cosine_factor:.3f} +- "
         f"{ratio.sd:.3f} of the cosine law; {verdict}"
     )
+
+
+def _untested_tilts(steps: SessionSteps, ratios: tuple[TiltRatio, ...]) -> Iterator[str]:
+    """Yield a sentence for each filter whose tilted frames give no ratio."""
+    compared = {ratio.filter_name for ratio in ratios}
+    for frame in (tilted.exposures[0].frame for tilted in steps.tilted):
+        if frame.filter_name in set(steps.names) - compared:
+            yield (
+                f"sample tilted by {frame.tilt_deg:g} deg, filter {frame.filter_name}: not compared with the cosine "
+                "law, because no channel has an unsaturated signal above the dark level both with and without the tilt"
+            )
 
 
 # The sites of a 2 x 2 cell that count as red, green and blue: one, two and one pixel of the same channel.

@@ -42,6 +42,7 @@ from data_schemas.storage import (
     read_json,
     read_record,
     sha256_of,
+    stored_kind,
     write_manifest,
     write_record,
 )
@@ -263,9 +264,9 @@ def session_kind(folder: Path) -> SessionKind:
     """
     path = _session_file(folder)
     stored = read_json(path, "a capture session (.json)")
-    kind = stored.get("kind") if isinstance(stored, dict) else None
+    kind = stored_kind(stored)
     if kind not in KINDS:
-        found = kind_in_words(str(kind)) if kind else "no record of a known kind"
+        found = kind_in_words(kind) if kind else "no record of a known kind"
         raise RecordError(f"{path}: contains {found}, but a capture session or a camera session is needed")
     return KINDS[kind]
 
@@ -397,9 +398,9 @@ def verify_session(folder: Path) -> SessionCheck:
 def _read(path: Path) -> tuple[Session, bool]:
     """Read the record of a session, and tell whether it carries a seal."""
     envelope = read_json(path, "the record of a session")
-    kind = envelope.get("kind") if isinstance(envelope, dict) else None
+    kind = stored_kind(envelope)
     if kind not in SESSION_KINDS:
-        found = kind_in_words(str(kind)) if kind else "no record of a known kind"
+        found = kind_in_words(kind) if kind else "no record of a known kind"
         raise RecordError(f"{path}: contains {found}, but the record of a session is needed")
     session: Any = read_record(path, SESSION_KINDS[kind])
     return session, "content_sha256" in envelope

@@ -67,6 +67,23 @@ def test_statuses(decided, tmp_path):
         assert said in outcome.err
 
 
+@pytest.mark.parametrize("kind", [["BandSignals"], {"name": "BandSignals"}, 1, None])
+def test_a_foreign_json_file_with_a_kind_is_no_record(decided, kind):
+    """Many programs write an object with a "kind" that is a list or an object."""
+    foreign = decided / "foreign.json"
+    foreign.write_text(json.dumps({"kind": kind, "record": {}}))
+    assert "foreign.json" in succeed(f"verify {decided}")  # among the files that nothing names
+    outcome = finray(f"trace {foreign}")
+    assert outcome.status == 2
+    assert "is not a stored record" in outcome.err
+    (decided / "other").mkdir()
+    foreign.rename(decided / "other" / "session.json")
+    for command in ("radiometry {}", "export nexus {}"):
+        outcome = finray(command.format(decided / "other"))
+        assert outcome.status == 2
+        assert "session.json: contains " in outcome.err
+
+
 def test_stale_input(decided):
     made_anew("report.json")(decided)
     outcome = finray(f"trace {decided}/decision.json")
@@ -94,6 +111,16 @@ def test_records_before_seals_are_read_and_say_so(tmp_path):
     assert "missing" in outcome.out
 
 
+def test_a_name_that_no_file_can_have_is_a_missing_file(tmp_path):
+    shutil.copytree(FROZEN / "LightAngleDecision" / "v1", tmp_path / "old")
+    path = tmp_path / "old" / "example.json"
+    envelope = json.loads(path.read_text())
+    write_sealed(path, envelope | {"companions": {"a\0b": "0" * 64}})
+    outcome = finray(f"trace {path}")
+    assert outcome.status == 1
+    assert "is missing; it belongs to example.json" in outcome.out
+
+
 def test_replay_of_a_decision_agrees(decided):
     said = succeed(f"trace {decided}/decision.json --replay")
     agrees = re.search(
@@ -105,6 +132,16 @@ def test_replay_of_a_decision_agrees(decided):
     # sums of another process may come in another order: rounding, far below the declared tolerance
     assert float(agrees[1] or 0.0) < 1e-12
     assert not (decided / "decision-2.json").exists()
+
+
+def test_replay_writes_nothing_where_an_abbreviated_option_says(decided):
+    out = decided / "shortened.json"
+    succeed(f"decide {decided}/sweep.json --photometric-error {decided}/report.json --ou {out}")
+    moved = decided / "moved.json"
+    out.rename(moved)
+    made = sorted(decided.rglob("*"))
+    assert "replayed, agrees" in succeed(f"trace {moved} --replay")
+    assert sorted(decided.rglob("*")) == made
 
 
 def test_replay_by_another_seed_differs(decided):
@@ -140,6 +177,7 @@ class TestComparison:
             ({"a": np.array([1.0, 2.0])}, {"a": np.array([1.0, np.nan])}),
             ({"a": np.array([1, 2])}, {"a": np.array([1, 3])}),
             ({"a": np.zeros(3)}, {"a": np.zeros(4)}),
+            ({"a": np.array([np.inf, 1.0])}, {"a": np.array([np.inf, 2.0])}),
             ({"a": "x"}, {"a": "y"}),
             ({"a": None}, {"a": 0.0}),
             ({"a": [1.0]}, {"a": [1.0, 2.0]}),
@@ -157,3 +195,9 @@ class TestComparison:
         assert compare("PaintCalibration", before, {"a": before["a"] + 1e-7}).agrees
         assert not compare("PaintCalibration", before, {"a": before["a"] + 1e-5}).agrees
         assert not compare("PaintCalibration", {"a": 1e-9}, {"a": 1e-7}).agrees
+
+    def test_infinite_values_hide_no_difference(self):
+        before = {"a": np.array([np.inf, -np.inf, 1.0])}
+        assert compare("PaintCalibration", before, {"a": np.array([np.inf, -np.inf, 1.0 + 1e-7])}).agrees
+        assert not compare("PaintCalibration", before, {"a": np.array([np.inf, -np.inf, 2.0])}).agrees
+        assert not compare("PaintCalibration", before, {"a": np.array([np.inf, 3.0, 1.0])}).agrees

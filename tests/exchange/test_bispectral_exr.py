@@ -117,6 +117,7 @@ def write(path, channels):
             ["T.400,0nm", "T.410,0nm", "T.420,0nm", "T.400,0nm.410,0nm"],
             "excitation 400 nm and emission 420 nm is missing",
         ),
+        (["T.nm", "T.,nm", "T.e5nm"], "has no bispectral channels"),
     ],
 )
 def test_incomplete_images_are_refused(tmp_path, channels, message):

@@ -2,6 +2,7 @@
 
 import os
 import struct
+import sys
 import tempfile
 import tomllib
 import unicodedata
@@ -88,6 +89,21 @@ def test_marks_of_png_files_and_of_both_byte_orders_are_read():
     assert orientation(b"\x89PNG\r\n\x1a\n" + b"\0\0\0\x1aeXIf" + little) == 8
     assert orientation(b"\x89PNG\r\n\x1a\n") == 1
     assert orientation(b"\xff\xd8\xff\xe1\0\x10Exif\0\0XX") == 1
+
+
+@pytest.mark.parametrize("prefix", [b"", b"Exif\0\0"])
+def test_marks_of_webp_files_are_read(tmp_path, prefix):
+    """The container's chunk is named EXIF and holds the bare TIFF; some writers keep the six bytes of JPEG before."""
+    folder = write_lab(tmp_path / "f")
+    repicture(folder, lambda image: image, ending=".webp")
+    text = BALLS.replace(".png", ".webp")
+    assert len(read(folder, text).captures) == 4
+    exif = prefix + b"II*\0\x08\0\0\0" + struct.pack("<HHHIHHI", 1, 0x0112, 3, 1, 6, 0, 0)
+    content = (folder / "rest.webp").read_bytes()
+    body = content[12:] + b"EXIF" + struct.pack("<I", len(exif)) + exif
+    (folder / "rest.webp").write_bytes(b"RIFF" + struct.pack("<I", 4 + len(body)) + b"WEBP" + body)
+    with pytest.raises(ImportFormatError, match="EXIF orientation 6"):
+        read(folder, text)
 
 
 def test_letters_of_two_parts_and_hidden_files_of_macos_are_read(tmp_path):
@@ -330,6 +346,20 @@ def test_a_link_behind_the_mark_of_an_array_does_not_lead_out(tmp_path, inner):
     (folder / inner).symlink_to(tmp_path / "outside.png")
     with pytest.raises(ImportFormatError, match="points outside the folder"):
         read(folder, BALLS.replace('"rest.png"', f'"{inner}"'))
+
+
+def test_names_with_a_number_sign_are_surveyed(tmp_path):
+    folder = write_lab(tmp_path / "f", ["p#", "p1", "p2", "p3"])
+    assert survey_folder(folder).lines[0].startswith("3 x p{press}.png: picture of ")
+
+
+def test_what_a_missing_package_reads_is_told_in_a_survey(tmp_path, monkeypatch):
+    folder = write_lab(tmp_path / "f")
+    (folder / "light.exr").write_bytes(b"any")
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    told = survey_folder(folder).lines
+    assert any(line.startswith("1 x light.exr: OpenEXR images need the OpenEXR package") for line in told)
+    assert any("picture of " in line for line in told)
 
 
 def test_odd_names_write_no_lines_of_their_own_into_a_recipe(tmp_path):

@@ -9,6 +9,7 @@ import pytest
 from data_schemas import ContactCircle, ImportFormatError, PhotometricErrorReport, SimulatedPress, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.exchange import press_request, read_by_recipe, read_recipe, read_renders
+from finray_calib.exchange._set_files import exr_rgb
 from finray_calib.sensing import outline_distance
 from tests.command_line.running import finray, succeed
 from tests.compare.test_tone_curve import RADIUS_PX, SHAPE, distance, pair
@@ -190,6 +191,30 @@ def test_openexr_is_light(tmp_path):
         file.write(str(tmp_path / "p" / "contact.exr"))
     with pytest.raises(ImportFormatError, match="must have the channels R, G and B, got Y"):
         read_renders(tmp_path / "p")
+
+
+@pytest.mark.parametrize(
+    ("layers", "taken"),
+    [
+        (("", "albedo.", "variance."), ""),
+        (("ViewLayer.Combined.",), "ViewLayer.Combined."),
+        (("contact.", "no_contact.", "variance."), None),
+    ],
+)
+def test_of_the_layers_of_an_openexr_image_the_picture_is_taken(tmp_path, layers, taken):
+    exr = pytest.importorskip("OpenEXR")
+    images = {layer: np.full((*SHAPE, 3), 0.1 * k, dtype=np.float32) for k, layer in enumerate(layers, 1)}
+    channels = {
+        f"{n}{c}": np.ascontiguousarray(image[..., i]) for n, image in images.items() for i, c in enumerate("RGB")
+    }
+    channels["ViewLayer.Normal.X"] = np.ones(SHAPE, dtype=np.float32)
+    with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels) as file:
+        file.write(str(tmp_path / "x.exr"))
+    if taken is None:
+        with pytest.raises(ImportFormatError, match=r"several layers of R, G and B \(contact, no_contact, variance\)"):
+            exr_rgb(tmp_path / "x.exr")
+    else:
+        np.testing.assert_array_equal(exr_rgb(tmp_path / "x.exr"), images[taken])
 
 
 def test_a_press_is_asked_for_without_its_contact_and_bayer_counts_are_refused(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from data_schemas import FitError, PaintCalibration, provenance
+from data_schemas import FitError, PaintCalibration, TiltRatio, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib import fit_paint
 from finray_calib.fit import combine_sessions, outlying_session_warnings
@@ -71,6 +71,14 @@ def test_tables_of_readings_have_no_pixels_together_either(session):
     for pixels, together in (((1, 1), 1), ((1, 1, 1, 1), 1), ((64, 16), 80)):
         sessions = [session(rng).model_copy(update={"region_pixels": number}) for number in pixels]
         assert combine_sessions(sessions)[0].region_pixels == together
+
+
+def test_the_tilts_of_all_sessions_are_kept(session):
+    """The first session alone would hide that a later one tested whether the paint is diffuse."""
+    rng = np.random.default_rng(6)
+    tilt = TiltRatio(filter_name="600", tilt_deg=30.0, cosine_factor=0.8, sd=0.01, diffuse=False)
+    plain, tilted = session(rng), session(rng).model_copy(update={"tilt_ratios": (tilt,)})
+    assert combine_sessions([plain, tilted])[0].tilt_ratios == (tilt,)
 
 
 def test_two_sessions_hold_their_level_as_often_as_stated_at_the_largest_scatter(session, level_of):

@@ -20,13 +20,19 @@ from data_schemas import (
     MissingExtraError,
     Model,
     PaintPlan,
+    PixelSignals,
     Quantity,
     RecordError,
     RegionOfInterest,
+    SensedPress,
+    TwoLights,
 )
+from data_schemas.json_schemas import STORED
+from data_schemas.storage import read_record
 from finray_calib.exchange._record_formats import _dims
 from tests.command_line.records import capture_of, press, sweep
 from tests.documentation.example_records import example_decision, example_results
+from tests.schemas.freeze import FROZEN
 
 MODE = Estimate(estimate=598.14, sd=4.2, low68=594.0, high68=602.0, low95=586.53, high95=603.52)
 
@@ -154,6 +160,35 @@ def test_arrays_have_names_and_units_in_xarray(results, example):
     assert results.capture.to_xarray()["repeat_no_contact"].dims == results.capture.to_xarray()["contact"].dims
     with pytest.raises(RecordError, match=r"record \(FingerDesign\) has no array"):
         finray.finger_design().to_xarray()
+
+
+def frozen(record_type):
+    """The stored example of the newest version of a kind."""
+    newest = max((FROZEN / record_type.__name__).iterdir(), key=lambda folder: int(folder.name[1:]))
+    return read_record(newest / "example.json", record_type)
+
+
+@pytest.mark.parametrize("record_type", STORED)
+def test_every_stored_record_goes_to_xarray_or_has_no_array(record_type):
+    record = frozen(record_type)
+    arrays = {name for name in record_type.model_fields if isinstance(getattr(record, name), np.ndarray)}
+    if not arrays:
+        with pytest.raises(RecordError, match="has no array"):
+            record.to_xarray()
+        return
+    data = record.to_xarray()
+    assert arrays <= data.variables.keys()
+    for name in arrays:
+        np.testing.assert_array_equal(data[name], getattr(record, name))
+
+
+def test_dimensions_are_named_after_what_lies_along_them():
+    pixels, lights, sensed = map(frozen, (PixelSignals, TwoLights, SensedPress))
+    data = pixels.to_xarray()  # whose own field "channel" is the channel of each pixel
+    assert data["channel"].dims == ("row", "column")
+    assert data["common_sd_rel"].sel(channel_axis="green").dims == ("filter",)
+    assert list(lights.to_xarray()["channel"].values) == list(lights.channels)
+    assert sensed.to_xarray()["normal"].dims == ("row", "column", "axis")
 
 
 def test_a_paint_goes_to_arviz(example):

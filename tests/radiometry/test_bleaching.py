@@ -140,6 +140,25 @@ def test_tilt_knows_of_bleaching(loss_per_j):
     assert ratio.sd > 0.006  # the trend's uncertainty over 0.06 J is added
 
 
+@pytest.mark.parametrize("counts_dn", [1023, 0])
+def test_tilted_frames_without_a_signal_give_no_ratio(counts_dn):
+    """Saturated or dark in all channels, they say nothing of the paint: no ratio of 1 / cos 30 deg = 1.155."""
+
+    def lost(frames, images):
+        for one in frames:
+            if (one.frame_type, one.filter_name) == ("tilted fluorescence", "600"):
+                images[one.file][:] = counts_dn
+        return frames
+
+    cosine = np.cos(np.radians(TILT_DEG))
+    tilted = [("tilted fluorescence", FILTERS[b], cosine * SIGNALS["fluorescence"][b]) for b in (0, 2)]
+    synthetic = synthetic_session(np.random.default_rng(5), extra=tilted, change=lost)
+    bands = band_signals(synthetic.session, synthetic.read)
+    assert [r.filter_name for r in bands.tilt_ratios] == ["450"]
+    assert any("filter 600: not compared with the cosine law" in note for note in bands.notes)
+    assert not any("not diffuse" in note for note in bands.notes)
+
+
 def test_without_tilted_frames_there_is_no_ratio():
     synthetic = synthetic_session(np.random.default_rng(5))
     assert band_signals(synthetic.session, synthetic.read).tilt_ratios == ()
