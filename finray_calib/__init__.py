@@ -2,7 +2,7 @@
 
 >>> import finray_calib as finray
 >>> paint = finray.fit_paint("bands.json")          # or a BandSignals
->>> paint.mode_nm                                   # 598.5 [589.9, 605.8] nm
+>>> paint.mode_nm                                   # 598.6 [589.9, 605.8] nm
 >>> paint.plot().save("paint.svg")
 >>> press = finray.render_press("flat-70x35", red="red.paint.json", green=paint)
 >>> report = finray.compare_press(press, "capture.json")
