@@ -4,6 +4,7 @@ Beside the record of a press its images are written as files that other programs
 """
 
 import argparse
+import hashlib
 import math
 import shlex
 from collections.abc import Sequence
@@ -273,7 +274,8 @@ def _long_render(arguments: argparse.Namespace) -> LongWork:
 
 def _long_sweep(arguments: argparse.Namespace) -> LongWork:
     """Return what is about to be done, and what of it is kept if its process dies."""
-    return LongWork("the sweep of the light angle", NOTHING_KEPT, arguments.out)
+    kept = "Finished places are kept, and the same command continues with the others"
+    return LongWork("the sweep of the light angle", kept if arguments.positions else NOTHING_KEPT, arguments.out)
 
 
 def _angles(text: str) -> list[float]:
@@ -473,9 +475,7 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
         "samples": arguments.samples,
         "engine": working_engine(arguments.engine),
         "paints_as_given": arguments.paints_as_given,
-        # of the undeformed pad, and so the same at every place
-        "all_objectives": arguments.objectives == "all"
-        and (position_mm is None or position_mm == arguments.positions[0]),
+        "all_objectives": _has_all_objectives(arguments, position_mm),
         "narrow_sweep": True,
     }
     if position_mm is not None:
@@ -489,6 +489,12 @@ def _sweep(arguments: argparse.Namespace, out: Path, position_mm: float | None, 
     wrote(out, f"{len(sweep.angles_deg)} angles, {sweep.label}")
     give(angles_deg=sweep.angles_deg, brightness_mean=sweep.values.mean(axis=1), label=sweep.label)
     suggest_command("finray decide", out)
+
+
+def _has_all_objectives(arguments: argparse.Namespace, position_mm: float | None) -> bool:
+    """Return whether a sweep holds all objectives: they are of the undeformed pad, and so the same at every place."""
+    is_first = position_mm is None or position_mm == arguments.positions[0]
+    return arguments.objectives == "all" and is_first
 
 
 def _sweep_places(arguments: argparse.Namespace, out: Path) -> None:
@@ -518,13 +524,13 @@ def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments:
     """Return whether a record is there that this command would write again: same design, paints, angles and effort."""
     if not path.exists():
         return False
-    from data_schemas import LightAngleSweep, digest_of_input, package_version
-    from data_schemas.storage import read_record
+    from data_schemas import LightAngleSweep, package_version
+    from data_schemas.storage import read_bytes, read_record
 
     stored = read_record(path, LightAngleSweep)
     indenter = design.indenter.model_copy(update={"position_mm": position_mm})
     touched = design.model_copy(update={"indenter": indenter, "provenance": None})
-    paints = {colour: digest_of_input(file) for colour, file in both_paint_files(arguments).items()}
+    paints = {c: hashlib.sha256(read_bytes(file)).hexdigest() for c, file in both_paint_files(arguments).items()}
     origin = stored.provenance
     return (
         origin is not None
@@ -532,6 +538,7 @@ def _is_swept(path: Path, design: "FingerDesign", position_mm: float, arguments:
         and _effort(origin.command) == _effort(command_line())
         and (stored.design, stored.paints) == (touched, paints)
         and stored.angles_deg.tolist() == arguments.angles
+        and (bool(stored.other_objectives) or not _has_all_objectives(arguments, position_mm))
     )
 
 

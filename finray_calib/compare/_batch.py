@@ -406,7 +406,7 @@ def skill_over_presses(pairs: Sequence[ComparedPair]) -> SkillOverPresses | None
     scored = [pair for pair in pairs if pair.skill is not None and pair.contact_signal]
     if not scored:
         return None
-    units = _units(scored, [_error(pair) for pair in scored])
+    units = _units(scored, [_error(pair) for pair in scored], [pair.contact_signal or 0.0 for pair in scored])
     left = float(units.errors.sum() / units.signals.sum())
     low, high, method = _interval_of_left_over(units, left)
     return SkillOverPresses(
@@ -469,7 +469,7 @@ def _jackknife_u(without: Floats) -> float:
     return float(np.sqrt((n - 1.0) / n * ((without - without.mean()) ** 2).sum()))
 
 
-def _units(pairs: Sequence[ComparedPair], errors: Sequence[float]) -> _Units:
+def _units(pairs: Sequence[ComparedPair], errors: Sequence[float], signals: Sequence[float]) -> _Units:
     """Return the sums over the highest level that has three units, else over presses."""
     keys: dict[Unit, list[tuple[str, ...]]] = {
         "sensor": [(p.sensor or "",) for p in pairs],
@@ -483,7 +483,7 @@ def _units(pairs: Sequence[ComparedPair], errors: Sequence[float]) -> _Units:
     return _Units(
         kind,
         np.asarray(np.bincount(unit, weights=np.asarray(errors)), dtype=np.float64),
-        np.asarray(np.bincount(unit, weights=np.array([p.contact_signal or 0.0 for p in pairs])), dtype=np.float64),
+        np.asarray(np.bincount(unit, weights=np.asarray(signals)), dtype=np.float64),
         unseen,
     )
 
@@ -496,9 +496,10 @@ def _error(pair: ComparedPair) -> float:
 def skill_differences(pairs: Sequence[ComparedPair], ranked: Sequence[str]) -> tuple[SkillDifference, ...]:
     """Return the difference in skill of every two simulators over the presses that both have.
 
-    Of the presses i, d = sum(f_i - e_i) / sum s_i with the squared errors e of the first and f of the second: what
-    makes a press hard for both cancels. Jackknife over units with Student's t; with m differences each interval holds
-    with 1 - 0.05 / m, so that all of them hold together with 95 % (Bonferroni).
+    Of the presses i, d = sum(f_i - e_i) / sum s_i with the squared errors e of the first and f of the second, and the
+    mean s of their squared changes by contact: what makes a press hard for both cancels. Jackknife over units with
+    Student's t; with m differences each interval holds with 1 - 0.05 / m, so that all of them hold together with 95 %
+    (Bonferroni).
 
     Parameters
     ----------
@@ -507,7 +508,8 @@ def skill_differences(pairs: Sequence[ComparedPair], ranked: Sequence[str]) -> t
     ranked
         Names of simulators, the best first.
     """
-    of = {s: {p.name: p for p in pairs if p.simulator == s and p.skill is not None} for s in ranked}
+    scored = [pair for pair in pairs if pair.skill is not None and pair.contact_signal]
+    of = {s: {p.name: p for p in scored if p.simulator == s} for s in ranked}
     both = [(a, b) for k, a in enumerate(ranked) for b in ranked[k + 1 :] if of[a].keys() & of[b].keys()]
     return tuple(_difference(a, b, of[a], of[b], len(both)) for a, b in both)
 
@@ -522,7 +524,7 @@ def _difference(
         (_skill(other[n]), _skill(one[n]), ((one[n].contact_signal or 0.0) + (other[n].contact_signal or 0.0)) / 2.0)
         for n in names
     ]
-    units = _units([one[n] for n in names], [(a - b) * s for b, a, s in gains])
+    units = _units([one[n] for n in names], [(a - b) * s for b, a, s in gains], [s for _, _, s in gains])
     signals = units.signals
     d, n = float(units.errors.sum() / signals.sum()), len(signals)
     low = high = None
@@ -585,10 +587,11 @@ def to_capture(pairs: Sequence[ComparedPair]) -> tuple[str, ...]:
 
     Of n presses with a half interval h, about n (h / 0.01)^2 bring it to 0.01.
     """
-    # each capture once, by the simulator of the first pair
-    scored = [pair for pair in pairs if pair.skill is not None and pair.simulator == pairs[0].simulator]
-    if not scored:
+    compared = [pair for pair in pairs if pair.skill is not None]
+    if not compared:
         return ()
+    # each capture once, by the simulator of the first compared pair
+    scored = [pair for pair in compared if pair.simulator == compared[0].simulator]
     names = {pair.press or pair.name for pair in scored}
     told = []
     if len(names) < LEAST_UNITS:

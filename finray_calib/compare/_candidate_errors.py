@@ -550,7 +550,7 @@ def check_metric(metric: Metric) -> None:
         raise plug_in.refusal("gives different values for the same images")
     if value(beside) != perfect:
         raise plug_in.refusal("depends on pixels outside the region")
-    if (perfect > nothing) != (metric.BETTER == "higher"):
+    if not (perfect > nothing if metric.BETTER == "higher" else perfect < nothing):
         raise plug_in.refusal(
             f"is {perfect:.4g} for the captured image itself and {nothing:.4g} for the image without contact, but "
             f"declares that {metric.BETTER} is better"

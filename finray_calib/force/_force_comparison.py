@@ -335,7 +335,8 @@ def _rows(measured: MeasuredForce, error: Floats, deviations: _Deviations, noise
         raise CompareError(f"{measured.name}: the measured force is not larger than its uncertainty")
     sizes: tuple[tuple[Candidate, Interval], ...] = (
         ("do nothing", error_size(-force, none, noise)),
-        ("simulation", error_size(error, deviations.numerical + deviations.inputs, deviations.data)),
+        # a deviation leads to the force of the true inputs, and s = E - m back from it: F / x is never negative
+        ("simulation", error_size(error, -(deviations.numerical + deviations.inputs), deviations.data)),
     )
     for candidate, found in sizes:
         rms = {name: value / size for name, value in found.model_dump().items()}

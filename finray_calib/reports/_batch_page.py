@@ -99,14 +99,15 @@ def press_pictures(
 
 
 def _tiles(pictures: Sequence[ByteImage]) -> ByteImage:
-    """Return pictures side by side in the size of a tile, with a margin; their shapes may differ by a rounded pixel."""
+    """Return pictures side by side in the size of a tile, with a margin; a high one is narrower than its tile."""
     heights = [max(1, round(_TILE_PX * picture.shape[0] / picture.shape[1])) for picture in pictures]
     lying = min(heights) <= _TILE_PX * 3 // 4
     whole = np.full((_TILE_PX * 3 // 4 if lying else _TILE_PX * 4 // 3, (_TILE_PX + 6) * len(pictures), 3), 255)
     for number, (picture, height) in enumerate(zip(pictures, heights, strict=True)):
-        small = cv2.resize(np.ascontiguousarray(picture), (_TILE_PX, height), interpolation=cv2.INTER_AREA)
         rows, left = min(height, len(whole)), number * (_TILE_PX + 6) + 3
-        whole[:rows, left : left + _TILE_PX] = small[:rows]
+        columns = max(1, round(_TILE_PX * rows / height))
+        small = cv2.resize(np.ascontiguousarray(picture), (columns, rows), interpolation=cv2.INTER_AREA)
+        whole[:rows, left : left + columns] = small
     return whole.astype(np.uint8)
 
 

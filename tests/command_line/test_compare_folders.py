@@ -516,3 +516,11 @@ def test_pictures_whose_shapes_differ_by_rounding_stand_side_by_side(shapes: lis
     tiles = _tiles([np.full((*shape, 3), 10 * k, np.uint8) for k, shape in enumerate(shapes)])
     assert tiles.shape == (rows, 156 * len(shapes), 3)
     assert [int(tiles[50, 156 * k + 78, 0]) for k in range(len(shapes))] == [10 * k for k in range(len(shapes))]
+
+
+def test_a_picture_that_is_twice_as_high_as_wide_is_shown_to_its_last_row() -> None:
+    picture = np.zeros((200, 100, 3), np.uint8)
+    picture[180:] = 100
+    tiles = _tiles([picture])
+    assert tiles.shape == (200, 156, 3)
+    assert int((tiles == 100).all(axis=2).sum()) == 20 * 100

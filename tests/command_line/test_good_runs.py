@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from argparse import ArgumentParser
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 import jsonschema
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from data_schemas import (
+    AngleObjective,
     LightAngleDecision,
     LightAngleSweep,
     PaintCalibration,
@@ -20,10 +21,12 @@ from data_schemas import (
 )
 from data_schemas.json_schemas import STORED, json_schema
 from data_schemas.storage import read_frame, read_record, sha256_of, write_frame, write_record
+from finray_calib.cli._simulate import _is_swept, _long_sweep
 from finray_calib.cli.main import VERBS
 from rigs._rig_files import RED_PAINT
 from tests.command_line.records import BEST_DEG, capture_of
 from tests.command_line.running import edit, finray, load, succeed
+from tests.schemas.freeze import example_of
 
 KINDS = {record_type.__name__: record_type for record_type in STORED}
 
@@ -109,6 +112,42 @@ def test_swept_angles_lead_to_a_decision(rendered: Path, tmp_path: Path) -> None
     assert said.startswith(decision.headline)
     assert decision.sentence.removeprefix(decision.headline).strip() in said
     assert not decision.validated
+
+
+def test_a_sweep_without_the_objectives_that_are_asked_of_its_place_is_not_taken_for_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = "finray simulate sweep finger.toml --objectives all"
+    monkeypatch.setattr("sys.argv", command.split())
+    for colour in ("red", "green"):
+        (tmp_path / colour).write_text(colour)
+    example = read_record(example_of(LightAngleSweep, 5), LightAngleSweep)
+    paints = {colour: sha256_of(tmp_path / colour) for colour in ("red", "green")}
+    bare = example.model_copy(update={"paints": paints, "other_objectives": (), "constraints": None})
+    write_record(bare, tmp_path / "bare.json", provenance(command, {}, 1))
+    full = bare.model_copy(update={"other_objectives": (_objective(example),)})
+    write_record(full, tmp_path / "full.json", provenance(command, {}, 1))
+    place = example.design.indenter.position_mm
+    arguments = Namespace(
+        paint=[(colour, tmp_path / colour) for colour in paints], seed=1, angles=example.angles_deg.tolist(),
+        objectives="all", positions=[8.0, place],
+    )  # fmt: skip
+    # a place that is not the first has none, and the sweep of an earlier first place may keep its own
+    assert _is_swept(tmp_path / "bare.json", example.design, place, arguments)
+    assert _is_swept(tmp_path / "full.json", example.design, place, arguments)
+    arguments.positions = [place, 50.0]
+    assert not _is_swept(tmp_path / "bare.json", example.design, place, arguments)
+    assert _is_swept(tmp_path / "full.json", example.design, place, arguments)
+    arguments.out = None
+    assert _long_sweep(arguments).kept.startswith("Finished places are kept, and the same command continues")
+
+
+def _objective(sweep: LightAngleSweep) -> AngleObjective:
+    """Return an objective at each angle of a sweep."""
+    return AngleObjective(
+        name="normal", meaning="error of the normal", unit="deg", values=np.ones((len(sweep.angles_deg), 2)),
+        larger_is_better=False,
+    )  # fmt: skip
 
 
 def test_several_places_are_swept_by_one_command_and_decided_by_another(

@@ -179,6 +179,20 @@ def test_a_paired_difference_is_surer_than_its_simulators():
     assert (same.estimate, same.low95, same.high95, same.better_in) == (0.0, 0.0, 0.0, 0)
 
 
+def test_a_difference_does_not_depend_on_which_simulator_is_named_first():
+    """The change by contact of a press depends on the simulator, whose gain is taken out and whose region counts."""
+    pairs = [pair(k, 0.9, 1.0, simulator="a") for k in range(4)] + [pair(k, 0.8, 1.5, simulator="b") for k in range(4)]
+    one, other = (skill_differences(pairs, names)[0] for names in (["a", "b"], ["b", "a"]))
+    assert one.estimate == pytest.approx(0.1)  # in every press it is so much
+    assert other.estimate == pytest.approx(-0.1)
+    assert one.high95 == pytest.approx(0.1)
+
+
+def test_presses_whose_change_by_contact_is_not_known_give_no_difference():
+    pairs = [pair(0, 0.9, None, simulator="a"), pair(0, 0.8, None, simulator="b")]
+    assert skill_differences(pairs, ["a", "b"]) == ()
+
+
 def test_simulators_are_ranked_over_the_presses_that_all_have():
     """One that fails on the hard press gains nothing by it."""
     pairs = [pair(k, s, simulator="whole") for k, s in enumerate((0.9, 0.9, 0.9, 0.2))]
@@ -198,6 +212,8 @@ def test_what_to_capture_next_follows_from_what_is_missing():
     many = to_capture([pair(k, s) for k, s in enumerate((0.93, 0.95, 0.96, 0.94, 0.95, 0.97))])
     assert re.match(r"\d+ more presses: the interval reaches 0\.0\d+ to either side with 6", many[0])
     assert to_capture([pair("a", None)]) == ()
+    failed = [pair(name, None, simulator="fails") for name in "ab"]
+    assert to_capture([*failed, pair("a", 0.9, simulator="one"), pair("b", 0.8, simulator="one")]) == told
 
 
 def test_a_gain_between_images_of_the_render_asks_for_no_other_captures():

@@ -246,6 +246,20 @@ def test_an_error_within_its_deviations_may_be_none():
     assert (far.low95, far.high95) == (pytest.approx(20.0 - 1.96, abs=0.1), pytest.approx(20.0 + 1.96, abs=0.1))
 
 
+def test_a_true_finger_within_the_interval_of_the_points_leaves_no_error():
+    """Inputs are log-normal: a finger may well be 2.3 times as stiff as its design, and is never so much softer."""
+    press = power_law_press({"mechanics.gel.c10_mpa": 1.0}, {"mechanics.gel.c10_mpa": 0.6})
+    depth, rows = np.linspace(0.4, 1.9, 8), {}
+    for factor in (2.3, 0.4):
+        measured = MeasuredForce("bench", depth, force_at(depth, factor))
+        found = compare_force(press, measured, np.random.default_rng(1), fit_first_touch=False)
+        assert all(p.simulated_n.low95 < p.force_n < p.simulated_n.high95 for p in found.points)
+        rows[factor] = next(row.rms_rel for row in found.rows if row.candidate == "simulation")
+    # 0 up to the nearest of 2000 draws
+    assert rows[2.3].low95 < 0.02
+    assert rows[0.4].low95 < 0.02
+
+
 def test_noise_is_taken_out_of_a_size():
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((4000, 2000))

@@ -2,9 +2,9 @@
 
 import pytest
 
-from data_schemas import DesignOptimum
+from data_schemas import DesignOptimum, LightPowers, NormalErrorChange
 from data_schemas.storage import read_record
-from finray_calib.reports.studies import front_rows, optimum_page
+from finray_calib.reports.studies import front_rows, light_powers_page, optimum_page
 from tests.schemas.freeze import example_of
 
 
@@ -40,6 +40,27 @@ def test_an_unconfirmed_gain_is_called_so(optimum: DesignOptimum) -> None:
     text = page(optimum.model_copy(update={"gains": gains}))
     assert "not confirmed with other seeds" in text
     assert "not done" in text
+
+
+def test_worse_than_the_screen_is_not_called_worse_than_the_start(optimum: DesignOptimum) -> None:
+    gains = tuple(
+        gain.model_copy(update={"confirmed_rel": -0.2, "confirmed_95_rel": (-0.3, -0.1)})
+        if gain.against == "best of the screen"
+        else gain.model_copy(update={"confirmed_rel": 0.2, "confirmed_95_rel": (0.1, 0.3)})
+        for gain in optimum.gains
+    )
+    text = page(optimum.model_copy(update={"gains": gains, "sentence": "The sentence of the record."}))
+    assert "really worse" in text
+    assert "worse than the start" not in text
+
+
+@pytest.mark.parametrize(("low95", "verdict"), [(-0.01, "No gain is certain"), (0.01, "More even, but")])
+def test_powers_without_a_certain_gain_are_not_called_more_even(low95: float, verdict: str) -> None:
+    record = read_record(example_of(LightPowers, 1), LightPowers)
+    gain = record.gain_rel.model_copy(update={"low95": low95, "high95": 0.3})
+    worse = NormalErrorChange(now_deg=5.0, recommended_deg=6.0, change_rel=0.2, low95_rel=0.1, high95_rel=0.3)
+    text = light_powers_page(record.model_copy(update={"gain_rel": gain, "normal_error": worse}), "finray", {})
+    assert verdict in text
 
 
 def test_an_optimum_at_a_limit_is_told(optimum: DesignOptimum) -> None:

@@ -154,7 +154,11 @@ def test_pictures_taken_by_the_sheet_become_captures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     succeed("design init digit --out digit.toml")
     succeed("export protocol digit.toml --out pictures")
-    assert (tmp_path / "pictures" / "protocol.html").stat().st_size < 1_500_000
+    page = (tmp_path / "pictures" / "protocol.html").read_text(encoding="utf-8")
+    assert len(page) < 1_500_000
+    # z to the right and x up is the view along -y, from the indenter: x times y is z
+    np.testing.assert_array_equal(np.cross([0, 0, 1], [1, 0, 0]), [0, 1, 0])
+    assert "seen from the side that is pressed, base on the left" in page
     taken = ("ball-01", "ball-01-again", "ball-07", "ball-08", "solid-01-disc", "solid-09-ridge-again")
     for name in taken:
         folder = tmp_path / "pictures" / name

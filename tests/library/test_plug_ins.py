@@ -427,6 +427,7 @@ def test_pad_that_breaks_its_contract_is_refused(old, new, told):
         ),
         ('BETTER = "lower"', 'BETTER = "less"', "has BETTER = 'less', but"),
         ('UNIT = "1"', "UNIT = 1", "has UNIT = 1, but the value must be a non-empty text"),
+        ("return float(", "return 0.0 * float(", "is 0 for the captured image itself and 0 .* lower is better"),
         ("(candidate - captured)[region]", "(candidate - captured)", "depends on pixels outside the region"),
         ("return float(", "candidate[0] = 0.0\n    return float(", "changes the images that it is given"),
         ("return float(", "return None and float(", "returns .* as value|value of shape|NaN or infinite"),

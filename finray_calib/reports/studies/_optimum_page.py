@@ -160,7 +160,7 @@ def _judged(gain: DesignGain) -> tuple[Light, str]:
         return "care", "not confirmed with other seeds"
     if low > 0.0:
         return "good", "the 95 % interval lies above zero"
-    return ("bad", "really worse than the start") if high < 0.0 else ("care", "no difference is shown")
+    return ("bad", "really worse") if high < 0.0 else ("care", "no difference is shown")
 
 
 def _sentence_case(text: str) -> str:
@@ -492,7 +492,7 @@ def light_powers_page(record: LightPowers, command: str, digests: Mapping[str, s
                     "most evenly are computed from that."
                 ),
             verdict=f"{percent(max(gain.estimate, 0.0))} less uneven" if light == "good" else "No gain is certain"
-            if not is_worse else "More even, but the sensed normal is worse",
+            if gain.low95 <= 0.0 else "More even, but the sensed normal is worse",
             light=light,
             sentence=record.sentence,
             picture=drawing(

@@ -61,7 +61,7 @@ def protocol_page(protocol: PressProtocol, recipes: tuple[str, str]) -> str:
                 _pad_svg(protocol),
                 f"The pad with {sum(press.diameter_mm is not None for press in presses)} places for balls spread over "
                 "it and the place of the solids in its middle.",
-                "Where to press, seen from the camera's side of a finger, base on the left. What to see: the numbers "
+                "Where to press, seen from the side that is pressed, base on the left. What to see: the numbers "
                 "are those of the table, circles are as wide as the contact; all solids go to the cross.",
             ),
             key_numbers=(
