@@ -249,8 +249,7 @@ def _field_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
 
 #: Fields that are no part of the finger: what is varied or set in a session, how finely it is computed, and words.
 _LEFT_OUT: Final = {
-    "light": {"angle_deg"},
-    "second_light": {"angle_deg"},
+    "light": {"angle_deg"},  # a sweep turns the first panel only
     # a sweep sees its probe points along the normal of the pad: of the camera it has the response only
     "camera": {
         "width_px",
@@ -264,10 +263,10 @@ _LEFT_OUT: Final = {
     },
     "indenter": {"depth_mm", "path"},
 }
-VERSION: Final = 3
+VERSION: Final = 4
 """Of what is hashed: another field of a part, or another way to hash, is another version. Version 1 left out fields at
 their default, so that after a change of a default different fingers could look alike; version 2 knew the place of the
-mirror by the pad's size only, and at most two panels."""
+mirror by the pad's size only, and at most two panels; version 3 left out the angle of the second panel."""
 _PARTS: Final = (
     "pad", "coating", "light", "second_light", "further_lights", "enclosure", "mirror", "camera", "indenter",
     "skeleton", "mechanics",
@@ -275,7 +274,7 @@ _PARTS: Final = (
 
 
 class FingerIdentity(Model):
-    """A finger with its indenter, without the angle of its light and the depth of the press."""
+    """A finger with its indenter, without the angle of its first light and the depth of the press."""
 
     version: int = Field(
         default=1,

@@ -372,7 +372,7 @@ def _commented(name: str, line: str, comment: str, width: int) -> str:
 
 def _quoted(text: str) -> str:
     """Return a TOML basic string."""
-    return json.dumps(text, ensure_ascii=False)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _filter_toml(band: BandPassFilter, comments: Mapping[str, str]) -> str:

@@ -343,7 +343,8 @@ def write_frame(path: Path, frame: NDArray[np.uint16], description: str) -> str:
 
     buffer = io.BytesIO()
     photometric = "rgb" if frame.ndim == 3 else "minisblack"
-    tifffile.imwrite(buffer, frame, photometric=photometric, description=description, metadata=None)
+    # as bytes, because tifffile refuses text beyond ASCII, and names of filters are in any language
+    tifffile.imwrite(buffer, frame, photometric=photometric, description=description.encode(), metadata=None)
     write_bytes(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
 

@@ -380,7 +380,10 @@ def _move_aside(folder: Path, files: Iterable[Path]) -> None:
     aside = folder / ORPHANS
     for path in files:
         aside.mkdir(exist_ok=True)
-        path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")
+        number = len(list(aside.iterdir()))
+        while (place := aside / f"{number:04d}_{path.name.lstrip('.')}").exists():  # a person took others away
+            number += 1
+        path.rename(place)
 
 
 def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> None:
@@ -391,8 +394,8 @@ def require_same_inputs(interrupted: Interrupted, inputs: dict[str, str]) -> Non
     CaptureError
         A curve file changed.
     """
-    before: dict[str, str] = interrupted.start["inputs"]
-    changed = sorted(name for name in before.keys() | inputs.keys() if before.get(name) != inputs.get(name))
+    before: dict[str, str] = interrupted.start["inputs"]  # earlier versions did not note the lamp's spectrum
+    changed = sorted(name for name, digest in before.items() if inputs.get(name) != digest)
     if changed:
         raise CaptureError(
             f"{changed[0]}: has changed since the session began; restore the file, or capture the session again"

@@ -165,6 +165,7 @@ def curve_files(rig: RigFile, rig_folder: Path) -> tuple[str, ...]:
     """
     named = [] if rig.camera.response == "assumed" else [rig.camera.response]
     named += [band.curve for band in rig.filter_wheel.filters if band.curve is not None]
+    named += [rig.lamp.spectrum] if rig.lamp.spectrum.endswith(".csv") else []
     if rig.simulated is not None and rig.simulated.material is not None:
         named.append(rig.simulated.material)
     lost = [name for name in named if not (rig_folder / name).is_file()]

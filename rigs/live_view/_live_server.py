@@ -13,6 +13,7 @@ import hmac
 import json
 import math
 import secrets
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -232,10 +233,10 @@ class LiveRig:
                     self._lamp = on
                 case {"filter": str(name)} if name in self.filters:
                     self._slot, self._filter_asked = self.filters[name], name
-                case {"exposure_s": int() | float() as asked_s} if math.isfinite(asked_s) and asked_s > 0:
+                case {"exposure_s": int() | float() as asked_s} if 0 < asked_s < math.inf:
                     camera = self._rig.camera
                     longest_s = min(camera.longest_exposure_s, LONGEST_EXPOSURE_S)
-                    self._exposure_s = min(max(float(asked_s), camera.shortest_exposure_s), longest_s)
+                    self._exposure_s = float(min(max(asked_s, camera.shortest_exposure_s), longest_s))
                 case {"region": [int(row), int(column), int(height), int(width)]}:
                     self._region = self._within(row, column, height, width)
                 case _:
@@ -393,6 +394,11 @@ class LiveServer(ThreadingHTTPServer):
         self.live, self.page, self.token, self.asked_s = live, page, secrets.token_urlsafe(24), -math.inf
         self.sent = 0
         super().__init__((LOOPBACK, port), _Handler)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Keep the terminal clear of a page that was closed while it asked."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
     @property
     def host(self) -> str:

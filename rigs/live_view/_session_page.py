@@ -44,6 +44,9 @@ LAST_WORD_S: Final = 3.0
 """How long an open page gets to learn how the session ended."""
 HEADLINE_LINES: Final = 3
 MOST_LINES_SAID: Final = 3
+"""Where nothing is asked: a question is shown to its end."""
+LEAST_PANEL_LINES: Final = 4
+"""Of the numbers, beside a long question: lights, whether they are kept off, time left and its bar."""
 MOST_TOLD_LINES: Final = 2
 KEYS: Final = " l LIGHT OFF   Enter done, go on   y n yes, no   q end   ? help"
 HELP: Final = (
@@ -173,19 +176,18 @@ class _SessionPage(TerminalPage):
     def _press(self, key: str) -> None:
         """Do what a key stands for."""
         _, numbers = self._session.latest(-1, 0.0)
-        if self._ends:
-            self._ends = False
-            if key == "e":
-                self._session.end()
-                return
+        ended, helped, self._ends, self._helps = self._ends, self._helps, False, False
         if key in ("l", " ", "escape"):
             self._session.darken()
+        elif ended or helped:  # whatever else is pressed goes back: it answers no question behind the screen
+            if ended and key == "e":
+                self._session.end()
         elif key == "q":
             self._ends = True
+        elif key == "?":
+            self._helps = True
         elif key == "ctrl-l":
             self._drawn = []
-        elif self._helps or key == "?":
-            self._helps = not self._helps
         else:
             word = {"enter": "done", "y": "yes", "n": "no", "e": "end", "g": "goggles"}.get(key)
             if word in numbers.answers:
@@ -246,10 +248,13 @@ def session_screen(
     if ends:
         headline, style = "END?", RED
         text = "Press e to end the session; finray capture --resume continues it later. Any other key goes back."
-    said = (textwrap.wrap(text, screen.columns - 2) + [""] * MOST_LINES_SAID)[:MOST_LINES_SAID]
+    free = screen.lines - HEADLINE_LINES - MOST_TOLD_LINES - 2
+    most = free - LEAST_PANEL_LINES if numbers.question or ends else MOST_LINES_SAID
+    said = textwrap.wrap(text, screen.columns - 2)[:most]
+    said += [""] * (MOST_LINES_SAID - len(said))
     note = f"noted last: {numbers.told}" if numbers.told else ""
     told = (textwrap.wrap(note, screen.columns - 2) + [""] * MOST_TOLD_LINES)[:MOST_TOLD_LINES]
-    height = screen.lines - HEADLINE_LINES - len(said) - len(told) - 2
+    height = free - len(said)
     width = screen.columns - PANEL_COLUMNS - 1
     region = session.region
     place = region.row_px, region.column_px, region.height_px, region.width_px

@@ -90,13 +90,17 @@ def filter_transmission(
 
 
 def laser_line(wavelength_nm: Floats, laser: LaserSettings) -> Floats:
-    """Return the spectrum of the laser (nm^-1, integral 1 without its weak pedestal): Gaussian line of its FWHM."""
+    """Return the spectrum of the laser (nm^-1, integral 1 without its weak pedestal): Gaussian line of its FWHM.
+
+    A line narrower than 1 nm is drawn 1 nm wide, because between the bench's steps of 0.5 nm its power would be lost.
+    """
+    width_nm = max(laser.fwhm_nm, 2.0 * STEP_NM)
 
     def gaussian(fwhm_nm: float) -> Floats:
         return np.asarray(np.exp(-4.0 * np.log(2.0) * ((wavelength_nm - laser.wavelength_nm) / fwhm_nm) ** 2))
 
-    peak_per_nm = math.sqrt(4.0 * math.log(2.0) / math.pi) / laser.fwhm_nm
-    return peak_per_nm * (gaussian(laser.fwhm_nm) + LASER_PEDESTAL_REL * gaussian(LASER_PEDESTAL_FWHM_NM))
+    peak_per_nm = math.sqrt(4.0 * math.log(2.0) / math.pi) / width_nm
+    return peak_per_nm * (gaussian(width_nm) + LASER_PEDESTAL_REL * gaussian(LASER_PEDESTAL_FWHM_NM))
 
 
 def sample_matrix(rig: RigFile, folder: Path) -> DonaldsonMatrix:

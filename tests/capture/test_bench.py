@@ -12,7 +12,10 @@ from rigs.simulated import Bench, bench_scene
 from rigs.simulated._bench import (
     FILTER_TOLERANCE_NM,
     LAMP_LEVEL_E_PER_S_NM,
+    LASER_PEDESTAL_FWHM_NM,
+    LASER_PEDESTAL_REL,
     PEAK_QUANTUM_EFFICIENCY,
+    STEP_NM,
     TEXTURE_LENGTH_CELLS,
     WAVELENGTH_NM,
     colour_checker_reflectances,
@@ -61,6 +64,17 @@ def test_laser_has_unit_power_its_width_and_a_weak_pedestal() -> None:
     assert full_width_nm(fine_nm, line) == pytest.approx(2.0, abs=2e-3)
     pedestal = line[np.searchsorted(fine_nm, 455.0)] / line.max()
     assert 1e-5 < pedestal < 1e-4
+
+
+@pytest.mark.parametrize("fwhm_nm", [0.01, 0.1, 0.5, 1.0, 2.0, 8.0])
+@pytest.mark.parametrize("wavelength_nm", [450.0, 450.1, 450.25, 532.4])
+def test_a_laser_of_any_width_has_unit_power_on_the_steps_of_the_bench(wavelength_nm: float, fwhm_nm: float) -> None:
+    line = laser_line(WAVELENGTH_NM, LaserSettings(wavelength_nm=wavelength_nm, fwhm_nm=fwhm_nm))
+    # the pedestal adds 5e-5 times 30 nm over the width, at least a width of two steps
+    pedestal = LASER_PEDESTAL_REL * LASER_PEDESTAL_FWHM_NM / max(fwhm_nm, 2.0 * STEP_NM)
+    assert STEP_NM * line.sum() == pytest.approx(1.0 + pedestal, abs=1e-5)
+    # symmetric about the line, wherever it lies between two steps; 1e-6 is what the steps leave
+    assert np.average(WAVELENGTH_NM, weights=line) == pytest.approx(wavelength_nm, abs=1e-4)
 
 
 def test_lamp_agrees_with_cie_standard_illuminant_a() -> None:

@@ -3,6 +3,8 @@
 import http.client
 import json
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -150,6 +152,7 @@ def test_exposures_stay_short_enough_for_the_light_to_go_off(view, rig):
 @pytest.mark.parametrize(
     "command",
     [{}, {"laser": True}, {"lamp": 1}, {"filter": "999"}, {"exposure_s": -1}, {"exposure_s": float("inf")},
+     {"exposure_s": float("nan")},
      {"exposure_s": "1"}, {"region": [1, 2, 3]}, {"region": ["a", 1, 1, 1]}],
 )  # fmt: skip
 def test_what_pages_may_not_ask(view, command):
@@ -166,6 +169,25 @@ def test_bodies_that_are_no_command(view):
     for length in ("1001", "-1", "x", "9999999999"):
         assert request(server, "POST", "/do", token=server.token, body=b"", Content_Length=length)[0] == 413
     assert request(server, "GET", "/frame?after=99999999999999999999", token=server.token)[0] == 200
+
+
+def test_a_page_that_is_closed_while_it_asks_leaves_the_terminal_clear(view, capfd):
+    _, server, _ = view
+    for begun in (b"", b"GET /frame HTTP/1.1\r\n"):
+        page = socket.create_connection(server.server_address, timeout=PATIENCE_S)
+        page.sendall(begun)
+        time.sleep(0.1)  # the server reads it
+        page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # close() resets the connection
+        page.close()
+    time.sleep(0.1)
+    assert request(server, "GET", "/frame", token=server.token)[0] == 200
+    assert capfd.readouterr().err == ""
+
+
+def test_an_exposure_beyond_every_number_is_the_longest(view):
+    live, _, _ = view
+    live.ask({"exposure_s": 10**400})
+    assert live.exposure_s == LONGEST_EXPOSURE_S
 
 
 @pytest.mark.parametrize("asked", [(-50, -50, 10, 10), (10_000, 10_000, 10, 10), (0, 0, 0, 0), (3, 5, 10_000, 10_000)])

@@ -58,3 +58,9 @@ def test_material_and_response_files_are_named_in_the_rig() -> None:
     assert rig.simulated.material == "curves/orange.csv"
     assert rig.camera.response == "cameras/imx219.csv"
     assert rig.name == "simulated rig, orange"
+
+
+def test_any_text_of_a_device_survives_the_file(tmp_path: Path) -> None:
+    """A device may report control characters, of which TOML refuses one that JSON takes (DEL)."""
+    rig = simulated_rig("red").model_copy(update={"name": 'wheel "A" \\ \u00fc\n\x01\x7f'})
+    assert read_toml(write_rig(rig, tmp_path / "rig.toml"), RigFile).name == rig.name

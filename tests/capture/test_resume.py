@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from rigs.capture import (
     read_session,
 )
 from rigs.capture._paint_session import capture_with
-from rigs.capture._resume import ORPHANS
+from rigs.capture._resume import ORPHANS, set_aside
 from rigs.simulated import SimulatedLight
 
 KILLS = 25
@@ -115,10 +116,10 @@ def stopped(rig: RigFile, small: PaintPlan, tmp_path: Path) -> Path:
     return captured_in_part(rig, small, tmp_path / "stopped")
 
 
-def captured_in_part(rig: RigFile, small: PaintPlan, out: Path) -> Path:
+def captured_in_part(rig: RigFile, small: PaintPlan, out: Path, rig_folder: Path = Path()) -> Path:
     """Return a finished session without record, manifest and last lines."""
-    with open_rig(rig, Path()) as opened:
-        capture_with(opened, rig, small, paint_steps(small, rig), SessionRequest(out, "finray capture"))
+    with open_rig(rig, rig_folder) as opened:
+        capture_with(opened, rig, small, paint_steps(small, rig), SessionRequest(out, "finray capture", rig_folder))
     for name in ("session.json", "manifest-sha256.txt"):
         (out / name).unlink()
     lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
@@ -263,6 +264,43 @@ def test_changed_curve_file_is_refused(rig: RigFile, small: PaintPlan, stopped: 
     (stopped / "journal.jsonl").write_text(text.replace('"inputs": {}', '"inputs": {"red.csv": "00"}', 1))
     with pytest.raises(CaptureError, match=r"red\.csv: has changed since the session began"):
         resumed(rig, small, stopped)
+
+
+def test_changed_lamp_spectrum_is_refused(rig: RigFile, small: PaintPlan, tmp_path: Path) -> None:
+    """Its curve stands in the record of the session, for frames that were taken before it changed."""
+    curve = tmp_path / "lamp.csv"
+    curve.write_text("wavelength_nm,power_rel\n360,0.2\n560,1.0\n800,1.8\n")
+    lit = rig.model_copy(update={"lamp": rig.lamp.model_copy(update={"spectrum": "lamp.csv"})})
+    out = captured_in_part(lit, small, tmp_path / "stopped", tmp_path)
+    before = curve.read_text()
+    curve.write_text(before.replace("800,1.8", "800,0.9"))
+    request = SessionRequest(out, "finray capture", tmp_path)
+    with pytest.raises(CaptureError, match=r"lamp\.csv: has changed since the session began; restore the file"):
+        capture_paint_session(lit, small, request, interrupted=read_interrupted(out))
+    curve.write_text(before)
+    # sessions of versions that did not note the lamp's spectrum go on
+    journal = out / "journal.jsonl"
+    journal.write_text(re.sub(r'"inputs": \{"lamp.csv": "\w+"\}', '"inputs": {}', journal.read_text(), count=1))
+    session = capture_paint_session(lit, small, request, interrupted=read_interrupted(out))
+    assert session.frames
+    stored = read_session(out)
+    assert stored.provenance is not None
+    assert stored.provenance.input_sha256 == {"lamp.csv": sha256_of(curve)}
+
+
+def test_files_of_the_same_name_are_set_aside_beside_each_other(tmp_path: Path) -> None:
+    """Nothing is deleted, also where a person has taken some of those that were set aside away."""
+    (tmp_path / "frames").mkdir()
+
+    def set_aside_anew(content: str, *names: str) -> None:
+        for name in names:
+            (tmp_path / "frames" / name).write_text(content)
+        set_aside(tmp_path, set())
+
+    set_aside_anew("first", "0001_white.tiff", "0002_white.tiff")
+    (tmp_path / ORPHANS / "0000_0001_white.tiff").unlink()
+    set_aside_anew("second", "0002_white.tiff")
+    assert sorted(path.read_text() for path in (tmp_path / ORPHANS).iterdir()) == ["first", "second"]
 
 
 def test_second_capture_into_the_same_folder_is_refused(rig: RigFile, small: PaintPlan, stopped: Path) -> None:

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -437,6 +438,33 @@ def test_in_the_terminal_the_second_act_has_a_key_of_its_own_and_off_stays_one(s
     assert answered == [True]
 
 
+@pytest.mark.parametrize(("before", "shown"), [("q", "_ends"), ("?", "_helps")])
+def test_a_key_that_goes_back_answers_no_question_behind_it(small, before, shown):
+    """A person who presses y at "END?" has not said that the box is closed; lights go off from everywhere."""
+    session = WatchedSession("red", small.camera, None, laser=small.laser)
+    answered: list[str] = []
+    question = ("YES OR NO?", "Is the box closed?", ("yes", "no"))
+    thread = threading.Thread(target=lambda: answered.append(session.ask_person(*question)), daemon=True)
+    thread.start()
+    end_s = time.monotonic() + PATIENCE_S
+    while not session.latest(-1, 0.0)[1].question and time.monotonic() < end_s:
+        time.sleep(0.005)
+    page = _SessionPage.__new__(_SessionPage)
+    page._session, page._helps, page._ends = session, False, False  # noqa: SLF001
+    for key in ("y", "n", "q", "?"):
+        page._press(before)  # noqa: SLF001
+        assert getattr(page, shown)
+        page._press(key)  # noqa: SLF001
+        assert (page._helps, page._ends) == (False, False)  # noqa: SLF001
+        assert session.latest(-1, 0.0)[1].question
+    page._press(before)  # noqa: SLF001
+    page._press("l")  # noqa: SLF001
+    assert session.latest(-1, 0.0)[1].kept_off
+    page._press("n")  # noqa: SLF001
+    thread.join(PATIENCE_S)
+    assert answered == ["no"]
+
+
 def test_in_the_browser_the_second_act_has_an_answer_of_its_own_and_off_stays_one(small):
     with asked_for_goggles(small) as (session, answered), live_server(session) as server:
         threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
@@ -753,6 +781,27 @@ def test_every_number_has_its_place_at_80_by_24(small, short):
     assert len(HELP) + 6 <= 24
     assert any("flicker is not in it" in text for text in HELP)  # as on the page in the browser
     assert max(map(len, HELP)) <= LEAST_COLUMNS - 2
+
+
+def test_a_long_question_is_shown_to_its_end(small, short):
+    """The longest one names why the guard of the laser ended; what is asked stands at its end."""
+    import numpy as np
+
+    text = (
+        "The laser went off without a command and stays off (laser at /dev/serial/by-id/usb-Arduino_Uno_85439-if00: "
+        "the guard process has ended (it was killed by signal 9); the light has been switched off without it and is "
+        "confirmed off. Continue the capture with --resume). Find the cause first: was the box opened? Is it closed "
+        "now, does everybody wear goggles, and may the laser be lit again?"
+    )
+    asked = numbers(headline="YES OR NO?", text=text, question=1, answers=("yes", "no"))
+    screen = Screen(LEAST_COLUMNS, 24, colours=False)
+    lines = session_screen(screen, watched(small, short), np.zeros((32, 40), np.uint8), asked, False)
+    assert len(lines) == 24
+    shown = " ".join(re.sub(r"\x1b\[\d*m", "", line).strip() for line in lines)
+    # without spaces, as a line may end after a hyphen
+    assert f"{text} Press y or n.".replace(" ", "") in shown.replace(" ", "")
+    for told in ("LAMP ON", "LASER off", "TIME LEFT", "a torn frame", "l LIGHT OFF"):
+        assert told in shown
 
 
 def test_large_letters():

@@ -82,6 +82,19 @@ def test_a_default_that_changes_makes_another_finger(monkeypatch):
         type(DESIGN.pad).model_rebuild(force=True)
 
 
+def test_only_the_first_light_turns_in_a_sweep():
+    """The angle of every other panel stays as the design has it, so that another one is another finger."""
+
+    def lit(angle_deg, **others):
+        first = DESIGN.light.model_copy(update={"angle_deg": angle_deg})
+        return finger_identity(DESIGN.model_copy(update={"light": first, **others}))
+
+    tip, turned = (DESIGN.light.model_copy(update={"angle_deg": angle_deg}) for angle_deg in (150.0, 120.0))
+    assert lit(20.0, second_light=tip).differs_in(lit(70.0, second_light=tip)) == ()
+    assert lit(20.0, second_light=tip).differs_in(lit(20.0, second_light=turned)) == ("second_light",)
+    assert lit(20.0, further_lights=(tip,)).differs_in(lit(20.0, further_lights=(turned,))) == ("further_lights",)
+
+
 def test_another_version_of_the_identity_is_taken_on_trust():
     older = finger_identity(changed("pad", thickness_mm=4.0)).model_copy(update={"version": 1})
     (note,) = require_one_finger([sweep()], [PhotometricErrorReport.model_construct(captured="press 1", finger=older)])[
@@ -98,7 +111,7 @@ def test_other_fields_are_another_version():
     design = DESIGN.model_dump(mode="json")
     fields = sorted(name for part in _PARTS for name in leaves(design[part], part))
     digest = hashlib.sha256("\n".join(fields).encode()).hexdigest()[:12]
-    assert (VERSION, digest) == (3, "42d19b0aaf47")
+    assert (VERSION, digest) == (4, "42d19b0aaf47")
 
 
 def test_a_report_that_names_no_finger_and_another_depth_are_told():

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -365,6 +366,16 @@ def test_frames_are_checked_and_never_overwritten(tmp_path):
         read_frame(path, "0" * 64)
     with pytest.raises(ChecksumError, match="frame is missing"):
         read_frame(tmp_path / "frames" / "0002.tiff", digest)
+
+
+@pytest.mark.parametrize("description", ["532 nm, gr\u00fcn, 0.1 s", "532 nm, 0.1 s"])
+def test_a_frame_is_described_in_any_language(tmp_path, description):
+    """Names of filters stand in the description, which TIFF calls ASCII and readers take for UTF-8."""
+    path = tmp_path / "0001.tiff"
+    digest = write_frame(path, np.zeros((4, 4), dtype=np.uint16), description)
+    assert read_frame(path, digest).shape == (4, 4)
+    with tifffile.TiffFile(path) as file:
+        assert file.pages[0].description == description
 
 
 def test_a_list_of_failures_says_where_finray_itself_made_a_wrong_record():
