@@ -291,7 +291,7 @@ def _table_lines(
 def _toml_value(value: object) -> str:
     """Return a TOML value: text, number or list of numbers."""
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_toml_value(key)} = {_toml_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, tuple):

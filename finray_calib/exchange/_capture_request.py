@@ -236,7 +236,7 @@ tilt_uncertainty_deg = {_TILT_U_DEG}       # MEASURE
 
 def _text(text: str) -> str:
     """Return a TOML string."""
-    return json.dumps(text, ensure_ascii=False)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _float(value: float) -> str:
