@@ -135,12 +135,14 @@ def study_points(plan: DesignStudy, path: Path) -> list[PlannedPoint]:
     for number, changes in enumerate(_changes(plan), start=1):
         base = _base(plan, path, changes)
         try:
-            design = _changed(base, {**plan.set, **changes}, set(changes) if plan.combine == "random" else set())
+            drawn = set(changes) if plan.combine == "random" else set()
+            design, taken = _changed(base, {**plan.set, **changes}, drawn)
         except ValidationError as error:
             raise SimulateError(f"{path}, point {number} ({_words(changes)}): {explain(error, FingerDesign)}") from None
         except SimulateError as error:
             raise SimulateError(f"{path}: point {number} ({_words(changes)}): {error}") from None
-        points.append(PlannedPoint(number, changes, design, _seed(plan, changes, path)))
+        taken[SEED] = seed = _seed(plan, changes, path)
+        points.append(PlannedPoint(number, {f: taken.get(f, value) for f, value in changes.items()}, design, seed))
     return points
 
 
@@ -177,18 +179,18 @@ def _base(plan: DesignStudy, path: Path, changes: Mapping[str, DesignValue]) -> 
         raise SimulateError(f"{path}: {error}") from None
 
 
-def _changed(base: FingerDesign, changes: Mapping[str, DesignValue], drawn: set[str]) -> FingerDesign:
-    """Return a design with other values; what a value came from no longer holds where it is changed."""
+def _changed(
+    base: FingerDesign, changes: Mapping[str, DesignValue], drawn: set[str]
+) -> tuple[FingerDesign, dict[str, DesignValue]]:
+    """Return a design with other values, and these; what a value came from no longer holds where it is changed."""
     tables = base.model_dump(mode="python", exclude={"provenance"})
-    for field, value in changes.items():
-        if field not in (PRESET, SEED):
-            _set(tables, field, value, field in drawn)
+    taken = {f: _set(tables, f, value, f in drawn) for f, value in changes.items() if f not in (PRESET, SEED)}
     tables["origin"] = {field: where for field, where in base.origin.items() if field not in changes}
-    return FingerDesign.model_validate(tables)
+    return FingerDesign.model_validate(tables), taken
 
 
-def _set(tables: dict[str, Any], field: str, value: DesignValue, is_drawn: bool) -> None:
-    """Put a value at a dotted field; where a whole number stands, a drawn one is rounded to one."""
+def _set(tables: dict[str, Any], field: str, value: DesignValue, is_drawn: bool) -> DesignValue:
+    """Put a value at a dotted field and return it; where a whole number stands, a drawn one is rounded to one."""
     *above, last = field.split(".")
     table: Any = tables
     for name in above:
@@ -201,7 +203,8 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue, is_drawn: bool)
     if last not in table:
         raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes a file with all fields")
     is_whole = isinstance(table[last], int) and not isinstance(table[last], bool)
-    table[last] = round(value) if is_whole and is_drawn and isinstance(value, float) else value
+    table[last] = value = round(value) if is_whole and is_drawn and isinstance(value, float) else value
+    return value
 
 
 def _seed(plan: DesignStudy, changes: Mapping[str, DesignValue], path: Path) -> int:

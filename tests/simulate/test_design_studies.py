@@ -98,6 +98,7 @@ def test_a_random_study_fills_its_box_evenly_and_repeats_itself(tmp_path):
     # 64 points of a Sobol' sample: four in each sixteenth of the range
     assert np.histogram(angles, bins=16, range=(10.0, 50.0))[0].tolist() == [4] * 16
     assert {type(p.design.skeleton.rib_count) for p in points} == {int}
+    assert [p.changes["skeleton.rib_count"] for p in points] == [p.design.skeleton.rib_count for p in points]
     assert [p.changes for p in points_of(tmp_path, text)] == [p.changes for p in points]
 
 
