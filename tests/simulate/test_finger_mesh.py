@@ -407,7 +407,7 @@ def test_impossible_numbers_are_refused_in_the_design(build, message):
         (
             # the line of the rib and the parabola of the back fin have no point in common
             with_skeleton(rib_count=1, rib_angle_deg=-56.2).model_copy(update={"mirror": Mirror(radius_mm=70.0)}),
-            r"a rib of skeleton\.rib_angle_deg = -56\.2 deg does not meet the back fin, .*\(mirror\.radius_mm = 70 mm\)",
+            r"skeleton\.rib_angle_deg = -56\.2 deg does not meet the back fin, .*\(mirror\.radius_mm = 70 mm\)",
         ),
     ],
 )
