@@ -135,6 +135,10 @@ class _Field:
             ) from None
         if self.axis is not None and isinstance(value, tuple):
             value = value[self.axis]
+        elif self.axis is not None and value is not None:
+            raise SimulateError(
+                f"'{self.path}' of this finger is {value!r}, which has no coordinates; leave out [{_AXES[self.axis]}]"
+            )
         if isinstance(value, bool) or not isinstance(value, int | float):
             hint = "; for a place, name its coordinate, as in light.position_mm[y]" if isinstance(value, tuple) else ""
             hint = "; write it into the design file first" if value is None else hint

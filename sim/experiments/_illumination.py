@@ -204,7 +204,8 @@ def _read(angles_deg: Floats, values: Floats) -> Floats:
 
 def _fine_deg(angles_deg: Floats) -> Floats:
     """Return angles between the first and the last one."""
-    return np.arange(angles_deg[0], angles_deg[-1] + _FINE_STEP_DEG / 2.0, _FINE_STEP_DEG)
+    first, last = float(angles_deg[0]), float(angles_deg[-1])
+    return np.linspace(first, last, round((last - first) / _FINE_STEP_DEG) + 1)
 
 
 def _cosines(angles_deg: Floats) -> Floats:
@@ -355,7 +356,7 @@ def study_two_lights(
         tip_light_angle_deg=tip.angle_deg,
         cell_mm=_CELL_MM,
         uniformity=tuple(u for name, c in zip((ONE, TWO), cells, strict=True) for u in evenness(name, *c)),
-        z_mm=(np.arange(along[0].shape[1], dtype=np.float64) + 0.5) * _CELL_MM,
+        z_mm=cell_places_mm(one),
         along_rel=np.stack(along) / np.nanmean(along[0], axis=1)[:, None],
     )
 
@@ -374,7 +375,8 @@ def evenness(lights: str, mean: Floats, variance: Floats) -> list[Uniformity]:
     along = _mean(mean, (1,))
     level, noise2 = _mean(mean, (0, 1)), _mean(variance, (0, 1))
     ends = round(_ENDS_SHARE * len(mean))
-    everywhere, middle = _variation(mean, variance), _variation(mean[ends:-ends], variance[ends:-ends])
+    inner = slice(ends, len(mean) - ends)
+    everywhere, middle = _variation(mean, variance), _variation(mean[inner], variance[inner])
     return [
         Uniformity(
             lights=lights,
@@ -409,15 +411,14 @@ def coat_cells(
     matrix
         Camera RGB from bands, (3, 3).
     cell_mm
-        Side of a cell.
+        Side of a cell, about: the pad is divided evenly.
 
     Returns
     -------
     tuple of arrays
         (along, across, channel) each: the bands, then R, G, B; NaN where fewer than four pixels see a cell.
     """
-    pad = design.pad
-    shape = round(pad.length_mm / cell_mm), round(pad.width_mm / cell_mm)
+    pad, shape = design.pad, _cells(design, cell_mm)
     z, x = place_mm[seen].T
     i = np.minimum((z / pad.length_mm * shape[0]).astype(int), shape[0] - 1)
     j = np.minimum(((x / pad.width_mm + 0.5) * shape[1]).astype(int), shape[1] - 1)
@@ -432,6 +433,17 @@ def coat_cells(
     np.add.at(count, (i, j), 1.0)
     pixels = np.where(count >= _LEAST_PIXELS, count, np.nan)[..., None]
     return sums / pixels, noise / pixels**2
+
+
+def cell_places_mm(design: FingerDesign, cell_mm: float = _CELL_MM) -> Floats:
+    """Return the middles along the pad of the cells of :func:`coat_cells`, (along,)."""
+    count, _ = _cells(design, cell_mm)
+    return (np.arange(count) + 0.5) / count * design.pad.length_mm
+
+
+def _cells(design: FingerDesign, cell_mm: float) -> tuple[int, int]:
+    """Return into how many cells a pad is divided along and across."""
+    return round(design.pad.length_mm / cell_mm), round(design.pad.width_mm / cell_mm)
 
 
 def _variation(mean: Floats, variance: Floats) -> Floats:

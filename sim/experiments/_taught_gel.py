@@ -329,8 +329,9 @@ def fit_gel(captures: Sequence[TactileCapture]) -> FittedGel:
     first = captures[0]
     radius_mm, scale = _ball_and_scale(first)
     digests = tuple(contact_sha256(capture) for capture in captures)
-    if len(set(digests)) < len(digests):
-        raise SimulateError(f"{captures[-1].name}: the same contact image is given twice; give each press only once")
+    twice = [capture.name for k, capture in enumerate(captures) if digests[k] in digests[:k]]
+    if twice:
+        raise SimulateError(f"{twice[0]}: the same contact image is given twice; give each press only once")
     for capture in captures[1:]:
         if _ball_and_scale(capture) != (radius_mm, scale) or capture.contact.shape != first.contact.shape:
             raise SimulateError(

@@ -525,8 +525,10 @@ def compress_block(
     ]
     assembly, solver = Assembly(elasticity), linear_solver(threads=threads)
     load = Load(lambda share: Supports(fixed, share * pushes[-1] * push))
-    rows = []
-    for step in load_increments(assembly, solver, load, list(pushes / pushes[-1])):
+    rows, stops = [], list(pushes / pushes[-1])
+    for step in load_increments(assembly, solver, load, stops):
+        if step.fraction not in stops:  # an increment that was shortened
+            continue
         state = step.equilibrium.state
         stable = StableEquilibrium(assembly, load.at(step.fraction), state, solver, push)
         low, high = (residual_and_energy(side, state)[0] for side in sides)

@@ -37,6 +37,8 @@ _LIGHT_CLEARANCE_MM = 0.5
 # least free length of a fin between neighbouring ribs, base and tip, and least room between the fins where the hollow
 # ends: a nozzle of 0.4 mm closes a narrower slit
 _SMALLEST_GAP_MM = 0.5
+# what Newton's method leaves of the distance between a line and the back fin: far below an element, far above rounding
+_ON_LINE_MM = 1e-6
 _PAD_SIZES_MM = (5.0, 300.0)
 _PAD_THICKNESS_MM = (0.5, 50.0)
 _FILM_THICKNESS_MM = (0.01, 2.0)
@@ -152,7 +154,7 @@ def _base_line(design: FingerDesign, mirror: MirrorShape, inner_mm: float) -> tu
     under_mirror = float(back_curve_mm(mirror, -mirror.half_length_mm - _MIRROR_CLEARANCE_MM, behind)[1])
     lights = [light.position_mm[2] - light.height_mm / 2.0 - _LIGHT_CLEARANCE_MM for light in design.lights]
     z = min(under_mirror, -_BASE_BELOW_CAMERA_MM * layout_scale(design), *lights)
-    return z, _along_at(mirror, behind, np.array([inner_mm, z]), np.array([-1.0, 0.0]))
+    return z, _along_at(mirror, behind, np.array([inner_mm, z]), np.array([-1.0, 0.0]), "the base plate")
 
 
 def _tip_line(design: FingerDesign, mirror: MirrorShape, inner_mm: float) -> tuple[float, float]:
@@ -166,7 +168,7 @@ def _tip_line(design: FingerDesign, mirror: MirrorShape, inner_mm: float) -> tup
             f"skeleton.tip_starts_mm = {z:g} mm must lie above the end of the pad and its flange (pad.length_mm = "
             f"{design.pad.length_mm:g} mm, skeleton.flange_mm = {design.skeleton.flange_mm:g} mm)"
         )
-    s = _along_at(mirror, behind, np.array([inner_mm, z]), np.array([-1.0, 0.0]))
+    s = _along_at(mirror, behind, np.array([inner_mm, z]), np.array([-1.0, 0.0]), "the tip")
     depth = inner_mm - float(back_curve_mm(mirror, s, behind)[0])
     if depth < _SMALLEST_GAP_MM:
         raise SimulateError(
@@ -192,7 +194,8 @@ def _ribs(
     towards_back = np.array([-np.cos(angle), np.sin(angle)])
     behind = skeleton.mirror_thickness_mm
     front = (centres[:, None] + half * np.array([-1.0, 1.0])).reshape(-1)
-    along = [_along_at(mirror, behind, np.array([inner_mm, z]), towards_back) for z in front]
+    what = f"a rib of skeleton.rib_angle_deg = {skeleton.rib_angle_deg:g} deg"
+    along = [_along_at(mirror, behind, np.array([inner_mm, z]), towards_back, what) for z in front]
     edges = np.column_stack([front, along]).reshape(count, 2, 2)
     lines = np.concatenate([[base_line], edges.reshape(-1, 2), [tip_line]])
     gaps = np.diff(lines, axis=0)[::2].min(axis=1)
@@ -212,14 +215,25 @@ def _ribs(
 
 
 def _along_at(
-    mirror: MirrorShape, behind_mm: float, start_yz: NDArray[np.float64], direction_yz: NDArray[np.float64]
+    mirror: MirrorShape, behind_mm: float, start_yz: NDArray[np.float64], direction_yz: NDArray[np.float64], what: str
 ) -> float:
-    """Return s where a line in the side view meets the back fin's inner face, by Newton's method from its tangent."""
+    """Return s where a line in the side view meets the back fin's inner face, by Newton's method from its tangent.
+
+    Raises
+    ------
+    SimulateError
+        When it passes the fin, which is bent away from it; `what` names the line.
+    """
     across = np.array([-direction_yz[1], direction_yz[0]])
     s = 0.0
     for _ in range(20):
         off, step = ((back_curve_mm(mirror, s + d, behind_mm) - start_yz) @ across for d in (0.0, 1e-4))
         s -= 1e-4 * off / (step - off)
+    if not abs((back_curve_mm(mirror, s, behind_mm) - start_yz) @ across) <= _ON_LINE_MM:
+        raise SimulateError(
+            f"{what} does not meet the back fin, because the fin is bent away from it (mirror.radius_mm = "
+            f"{mirror.radius_mm:g} mm); make mirror.radius_mm larger, or the ribs' angle nearer to 0 deg"
+        )
     return float(s)
 
 

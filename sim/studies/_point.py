@@ -135,12 +135,14 @@ def study_points(plan: DesignStudy, path: Path) -> list[PlannedPoint]:
     for number, changes in enumerate(_changes(plan), start=1):
         base = _base(plan, path, changes)
         try:
-            design = _changed(base, {**plan.set, **changes})
+            drawn = set(changes) if plan.combine == "random" else set()
+            design, taken = _changed(base, {**plan.set, **changes}, drawn)
         except ValidationError as error:
             raise SimulateError(f"{path}, point {number} ({_words(changes)}): {explain(error, FingerDesign)}") from None
         except SimulateError as error:
             raise SimulateError(f"{path}: point {number} ({_words(changes)}): {error}") from None
-        points.append(PlannedPoint(number, changes, design, _seed(plan, changes, path)))
+        taken[SEED] = seed = _seed(plan, changes, path)
+        points.append(PlannedPoint(number, {f: taken.get(f, value) for f, value in changes.items()}, design, seed))
     return points
 
 
@@ -177,18 +179,18 @@ def _base(plan: DesignStudy, path: Path, changes: Mapping[str, DesignValue]) -> 
         raise SimulateError(f"{path}: {error}") from None
 
 
-def _changed(base: FingerDesign, changes: Mapping[str, DesignValue]) -> FingerDesign:
-    """Return a design with other values; what a value came from no longer holds where it is changed."""
+def _changed(
+    base: FingerDesign, changes: Mapping[str, DesignValue], drawn: set[str]
+) -> tuple[FingerDesign, dict[str, DesignValue]]:
+    """Return a design with other values, and these; what a value came from no longer holds where it is changed."""
     tables = base.model_dump(mode="python", exclude={"provenance"})
-    for field, value in changes.items():
-        if field not in (PRESET, SEED):
-            _set(tables, field, value)
+    taken = {f: _set(tables, f, value, f in drawn) for f, value in changes.items() if f not in (PRESET, SEED)}
     tables["origin"] = {field: where for field, where in base.origin.items() if field not in changes}
-    return FingerDesign.model_validate(tables)
+    return FingerDesign.model_validate(tables), taken
 
 
-def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
-    """Put a value at a dotted field; where a whole number stands, a drawn one is rounded to one."""
+def _set(tables: dict[str, Any], field: str, value: DesignValue, is_drawn: bool) -> DesignValue:
+    """Put a value at a dotted field and return it; where a whole number stands, a drawn one is rounded to one."""
     *above, last = field.split(".")
     table: Any = tables
     for name in above:
@@ -201,13 +203,15 @@ def _set(tables: dict[str, Any], field: str, value: DesignValue) -> None:
     if last not in table:
         raise SimulateError(f"'{field}' is not a field of a design; 'finray design init' writes a file with all fields")
     is_whole = isinstance(table[last], int) and not isinstance(table[last], bool)
-    table[last] = round(value) if is_whole and isinstance(value, float) else value
+    table[last] = value = round(value) if is_whole and is_drawn and isinstance(value, float) else value
+    return value
 
 
 def _seed(plan: DesignStudy, changes: Mapping[str, DesignValue], path: Path) -> int:
     """Return the seed of a point: the study's, so that points share their random numbers, unless it is varied."""
     seed = changes.get(SEED, plan.seed)
-    if isinstance(seed, bool) or not isinstance(seed, int | float) or seed < 0:
+    is_drawn = SEED in changes and plan.combine == "random"
+    if isinstance(seed, bool) or not isinstance(seed, int | float) or seed < 0 or not (is_drawn or seed == int(seed)):
         raise SimulateError(f"{path}: seed must be a whole number of 0 or more, got {seed!r}")
     return int(seed)
 
@@ -236,18 +240,13 @@ def design_folder(path: Path, points: Sequence[PlannedPoint], out: Path) -> Path
     return folder
 
 
-_OPTICAL_PARTS: Final = (
-    "name",
-    "coating",
-    "light",
-    "second_light",
-    "further_lights",
-    "camera",
-    "materials",
-    "origin",
-    "provenance",
-)
-"""Parts of a design that do not change a press: points that differ in these alone share one press."""
+_OPTICAL_PARTS: Final = {
+    "name", "coating", "light", "second_light", "further_lights", "camera", "materials", "origin", "provenance",
+}  # fmt: skip
+"""Parts of a design that do not change a press, but for how far down panels reach: the base plate lies below them.
+
+Points that differ in these alone share one press.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,10 +310,11 @@ def press_file(task: StudyTask, design: FingerDesign) -> Path | None:
     """Return the surfaces of the press that a design needs, named by what it is computed from; None: no press."""
     if task.plan.measure.press == "analytic":
         return None
-    known = design.model_dump(mode="json", exclude=set(_OPTICAL_PARTS))
+    known = design.model_dump(mode="json", exclude=_OPTICAL_PARTS)
+    panels_mm = min(light.position_mm[2] - light.height_mm / 2.0 for light in design.lights)
     increments = task.plan.measure.increments
     indenter = design_digests(design, task.design_folder, ["indenter"])
-    digest = _sha256({"design": known, **indenter, "increments": increments})
+    digest = _sha256({"design": known, **indenter, "increments": increments, "panels_mm": panels_mm})
     return task.folder / PRESSES / f"{digest[:16]}.surfaces.json"
 
 

@@ -7,6 +7,8 @@ from data_schemas import CompareError, FingerDesign, ForceSlope, PressSensitivit
 from finray_calib.force import ForceModel, MeasuredForce, fit_material
 from sim.experiments import block_force_model
 from sim.mechanics import GelBlock, Ogden, compress_block
+from sim.mechanics import _loads as loads_module
+from sim.mechanics._increments import load_increments
 from tests.compare.bench_blocks import force_n, measured
 
 C10_MPA, BULK = 0.17, 400.0
@@ -162,6 +164,19 @@ def test_forces_of_another_unit_are_not_explained(models):
     wrong = MeasuredForce("mN.csv", good.displacement_mm, 1e6 * good.force_n)
     with pytest.raises(CompareError, match=r"mN\.csv: no modulus explains this curve; the nearest fit differs by"):
         fit_material([wrong], [models["lubricated"]], rng)
+
+
+def test_a_block_has_a_force_for_each_push_also_where_increments_are_shortened(monkeypatch):
+    def shortened(assembly, solver, load, stops):
+        return load_increments(assembly, solver, load, sorted({*stops, *(0.9 * stop for stop in stops)}))
+
+    given = block("confined"), Ogden((0.3,), (2.0,)), [0.5, 1.0, 2.0]
+    usual = compress_block(*given)
+    monkeypatch.setattr(loads_module, "load_increments", shortened)
+    found = compress_block(*given)
+    assert found.push_mm.tolist() == [0.5, 1.0, 2.0]
+    # the equilibrium's tolerance is 1e-6 of the forces
+    assert found.force_n == pytest.approx(usual.force_n, rel=1e-5)
 
 
 def test_a_bonded_block_is_stiffer_the_thinner_it_is():

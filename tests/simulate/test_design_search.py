@@ -53,6 +53,10 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
         ("light.angle_deg=0:300", "light.angle_deg = 300 is not possible"),
         ("light.position_mm=-14:-7", "for a place, name its coordinate, as in light.position_mm[y]"),
         ("camera.position_mm[y]=-14:-7", "write it into the design file first"),
+        (
+            "light.angle_deg[y]=0:60",
+            "'light.angle_deg' of this finger is 30.0, which has no coordinates; leave out [y]",
+        ),
         ("pad.shape=0:1", "is 'flat', which is not a number"),
         ("coating.diffuse_share", "has no default limits; give them as coating.diffuse_share=LOW:HIGH"),
     ],

@@ -19,6 +19,7 @@ from finray_calib.cli._study_run import stand_in_paints
 from sim import preset_design
 from sim.experiments import imprinted_shapes, paint_finger
 from sim.mechanics._rigid_bodies import read_body
+from sim.mechanics._skeleton import skeleton_mesh
 from sim.optics import BAKE_SAMPLES, RenderSettings, choose_variant, open_renderer, render_press
 from sim.studies import (
     SHIPPED_PLANS,
@@ -97,6 +98,7 @@ def test_a_random_study_fills_its_box_evenly_and_repeats_itself(tmp_path):
     # 64 points of a Sobol' sample: four in each sixteenth of the range
     assert np.histogram(angles, bins=16, range=(10.0, 50.0))[0].tolist() == [4] * 16
     assert {type(p.design.skeleton.rib_count) for p in points} == {int}
+    assert [p.changes["skeleton.rib_count"] for p in points] == [p.design.skeleton.rib_count for p in points]
     assert [p.changes for p in points_of(tmp_path, text)] == [p.changes for p in points]
 
 
@@ -122,6 +124,11 @@ def test_what_a_point_changes_is_no_longer_the_paper_s(tmp_path):
         (vary("preset", ["flat"]), r"there is no preset design 'flat'; valid names are flat-70x35"),
         (vary("preset", [3]), r"preset must be the name of a ready-made finger, got 3"),
         (vary("seed", [-1]), r"seed must be a whole number of 0 or more, got -1"),
+        (vary("seed", [1.2, 1.7]), r"seed must be a whole number of 0 or more, got 1\.2"),
+        (
+            vary("skeleton.rib_count", [3.6, 4.2]),
+            r"point 1 \(skeleton\.rib_count = 3\.6\): 'skeleton\.rib_count': must be a whole number, got 3\.6",
+        ),
     ],
 )
 def test_a_point_that_is_no_finger_is_refused_by_number_and_field(tmp_path, text, message):
@@ -448,6 +455,17 @@ def test_points_that_differ_in_the_light_share_their_press(tmp_path):
     )
     files = [press_file(task, point.design) for point in points]
     assert files[0] == files[2] != files[1] == files[3]
+
+
+def test_points_whose_panels_move_the_base_plate_do_not_share_their_press(tmp_path):
+    """The base plate lies below all panels, so that a panel that reaches lower lengthens the skeleton."""
+    text = '[measure]\npress = "finite elements"\n'
+    task, points = study_of(tmp_path, text + vary("light.height_mm", [4.0, 12.0]))
+    meshes = [skeleton_mesh(point.design, 4.0) for point in points]
+    lowest_mm = [mesh.nodes_mm[:, 2].min() for mesh in meshes]
+    assert lowest_mm[1] < lowest_mm[0] - 1.0
+    files = [press_file(task, point.design) for point in points]
+    assert files[0] != files[1]
 
 
 LIGHTS_DEG = [float(angle) for angle in range(0, 100, 10)]

@@ -404,6 +404,11 @@ def test_impossible_numbers_are_refused_in_the_design(build, message):
         ),
         (with_skeleton(tip_starts_mm=70.5), "tip_starts_mm = 70.5 mm must lie above the end of the pad"),
         (with_skeleton(front_fin_thickness_mm=6.0), "apart at the tip"),
+        (
+            # the line of the rib and the parabola of the back fin have no point in common
+            with_skeleton(rib_count=1, rib_angle_deg=-56.2).model_copy(update={"mirror": Mirror(radius_mm=70.0)}),
+            r"skeleton\.rib_angle_deg = -56\.2 deg does not meet the back fin, .*\(mirror\.radius_mm = 70 mm\)",
+        ),
     ],
 )
 def test_parts_that_do_not_fit_are_refused(design, message):

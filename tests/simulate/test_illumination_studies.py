@@ -1,5 +1,7 @@
 """The paper's optical studies: measures against closed forms, small runs, figures, and the command line."""
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -108,14 +110,17 @@ def test_limits_hold_what_they_promise(truth_deg):
 def test_what_a_search_did_not_find_is_said():
     angles = light_intensity.ANGLES_DEG
     beyond, spiky = np.cos(np.radians(angles + 60.0)) + 2.0, np.cos(np.radians(angles - 30.0)) + 2.0
+    above = np.cos(np.radians(angles - 150.0)) + 2.0
     spiky[4] += 1.5
 
     def doubts(curve):
         return light_intensity.doubts(np.broadcast_to(curve[None, :, None, None, None], (2, angles.size, 2, 2, 3)))
 
-    assert len(doubts(beyond)) == len(doubts(spiky)) == 12
+    assert len(doubts(beyond)) == len(doubts(above)) == len(doubts(spiky)) == 12
     start = "with mirror, edge of the contact towards the base, red: "
     assert doubts(beyond)[0].startswith(f"{start}the maximum is at -30 deg, the end of the search range")
+    assert doubts(above)[0].startswith(f"{start}the maximum is at 120 deg, the end of the search range")
+    assert light_intensity.brightest_deg(angles, above) == angles[-1]
     assert doubts(spiky)[0].startswith(start)
     assert doubts(spiky)[0].endswith("% from the smooth curve that gives the maximum")
     assert doubts(np.cos(np.radians(angles - 30.0)) + 2.0) == ()
@@ -146,6 +151,27 @@ def test_variation_over_cells_is_free_of_noise():
         assert measure.variation_rel == pytest.approx(0.5, abs=0.04)
         assert measure.middle_variation_rel == pytest.approx(0.5, abs=0.04)
         assert measure.noise_rel == pytest.approx(0.4, abs=0.02)
+
+
+def test_a_short_pad_has_a_middle_too():
+    even = np.ones((3, 4, 6))  # 15 % of three cells is no cell: the middle is all of them
+    for measure in two_lights.evenness("one", even, 0.0 * even):
+        assert measure.middle_variation_rel == measure.variation_rel == 0.0
+
+
+@pytest.mark.parametrize("length_mm", [70.0, 48.0, 71.0])
+def test_places_of_cells_are_the_mean_places_of_what_falls_into_them(length_mm):
+    """Cells divide the pad evenly, so that they are 2.5 mm long only where its length is a multiple of that."""
+    design = small(pad={"length_mm": length_mm})
+    z, x = np.meshgrid(np.arange(0.05, length_mm, 0.1), np.linspace(-15.0, 15.0, 61), indexing="ij")
+    # the light of a pixel is its place along the pad
+    render = SimpleNamespace(
+        no_contact_bands=np.repeat(z[..., None], 3, axis=-1), no_contact_variance=np.zeros((*z.shape, 3))
+    )
+    seen = np.ones(z.shape, dtype=bool)
+    mean, _ = two_lights.coat_cells(design, np.stack([z, x], axis=-1), seen, render, np.eye(3))
+    # pixels are 0.1 mm apart
+    np.testing.assert_allclose(two_lights.cell_places_mm(design), np.nanmean(mean[..., 0], axis=1), atol=0.06)
 
 
 def test_limits_need_two_repeats(paints):

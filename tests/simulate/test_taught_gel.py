@@ -164,6 +164,8 @@ def test_refusals():
         fit_gel([*presses[:2], presses[2].model_copy(update={"mm_per_px": 0.2})])
     with pytest.raises(SimulateError, match="press 1: the same contact image is given twice"):
         fit_gel([*presses[:2], presses[1]])
+    with pytest.raises(SimulateError, match="press 0: the same contact image is given twice"):
+        fit_gel([presses[0], *presses])
     away = ContactCircle(row_px=900.0, column_px=900.0, radius_px=10.0)
     wide = ContactCircle(row_px=60.0, column_px=80.0, radius_px=70.0)
     dark = np.array(presses[2].no_contact)
