@@ -1041,6 +1041,11 @@ USAGE = (
         "history {lab} --reference 5",
         r"argument --reference: '5' must be a whole number from 6 to \d+",
     ),
+    Case(
+        "history with too many false alarms",
+        "history {lab} --false-alarms 1",
+        r"argument --false-alarms: '1' must be a share \(0.01 is 1 %\) of 0.0001 to 0.2",
+    ),
     Case("capital letter", "Fit {lab}/bands.json", r"invalid choice: 'Fit' .*; did you mean 'fit'\?"),
     Case(
         "misspelt job",
