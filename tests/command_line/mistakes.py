@@ -1008,7 +1008,13 @@ CASES = (
     Case(
         "paints of a study without images",
         "study run {tmp}/study.toml --paint red=none.json --paint green=none.json",
-        r"study\.toml: the plan renders no images \(measure\.images = false\), so paints have no effect; leave --paint",
+        r"study\.toml: the plan renders no images \(measure\.images = false\), so --paint has no effect; leave it out",
+        file("study.toml", STUDY),
+    ),
+    Case(
+        "paints as given of a study without images",
+        "study run {tmp}/study.toml --paints-as-given",
+        r"study\.toml: the plan renders no images .*, so --paints-as-given has no effect; leave it out",
         file("study.toml", STUDY),
     ),
     Case(
