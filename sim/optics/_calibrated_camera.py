@@ -234,7 +234,7 @@ def _pinhole_rays(calibration: CameraCalibration, points: Floats) -> Floats:
     """Invert the pinhole model and make sure that it was inverted."""
     matrix, distortion = camera_matrix_of(calibration), np.array(calibration.distortion or (0.0,) * 4)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _STEPS, _STEP_TOLERANCE)
-    plane = cv2.undistortPoints(points, matrix, distortion, criteria=criteria)[:, 0]
+    plane: Floats = np.asarray(cv2.undistortPoints(points, matrix, distortion, criteria=criteria)[:, 0], np.float64)
     image, slope = _image_of_plane(calibration, plane)
     bad = ~(np.linalg.norm(image - points[:, 0], axis=-1) < _LARGEST_INVERSION_ERROR_PX) | ~(np.linalg.det(slope) > 0.0)
     if bad.any():  # OpenCV's steps do not end where the picture is squeezed much
@@ -249,7 +249,8 @@ def _image_of_plane(calibration: CameraCalibration, plane: Floats) -> tuple[Floa
     matrix, distortion = camera_matrix_of(calibration), np.array(calibration.distortion or (0.0,) * 4)
     rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)[:, None]
     image, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
-    return image[:, 0], jacobian[:, 3:5].reshape(-1, 2, 2)  # columns 3, 4 are the translation's
+    moved = jacobian[:, 3:5].reshape(-1, 2, 2)  # columns 3, 4 are the translation's
+    return np.asarray(image[:, 0], np.float64), np.asarray(moved, np.float64)
 
 
 def _by_newton(calibration: CameraCalibration, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -578,7 +578,7 @@ CASES = (
     Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
-        r"design: the number of filters must be 2 to 72 \(--number\), but 0 were requested; 1 are kept, and 71",
+        r"design: the number of filters must be 2 to 64 \(--number\), but 0 were requested; 1 are kept, 71",
     ),
     Case(
         "columns of pairs",

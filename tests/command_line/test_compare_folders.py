@@ -108,6 +108,9 @@ def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     assert (difference.first, difference.second, difference.better_in) == ("simulated", "weak", 3)
     assert difference.low95 is not None
     assert difference.low95 > 0.0
+    simultaneous = "differences in skill; all their 95 % intervals hold together (Bonferroni):"
+    assert simultaneous not in outcome.out
+    assert simultaneous in batch_lines(batch.model_copy(update={"differences": (difference, difference)}))
     assert (folders / "out/weak/one.photometric-error.html").is_file()
     page = (folders / "out/summary.html").read_text()
     assert "simulated is best" in page
