@@ -449,7 +449,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.captures"))
     circles = {} if arguments.circles is None else read_circles(arguments.circles)
     given = [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
-    sheet, files, told = ContactSheet(), _Names(), _Told()
+    sheet, files, told, predicted = ContactSheet(), _Names(), _Told(), 0
     made_of: dict[str, tuple[Path, ...]] = {}
     with ProductSet(out) as products:
 
@@ -467,7 +467,6 @@ def run_captures(arguments: argparse.Namespace) -> None:
 
         with progress_bar("import") as progress:
             found = read_by_recipe(folder, recipe, circles, progress, take)
-        predicted = 0
         for name, press, taught in _predicted(found.captures, arguments.predict_from):
             read = {path for source in (name, *taught) for path in made_of[source]}
             store(press, f"{files.of(name)}{PRESS}", sorted(read))
