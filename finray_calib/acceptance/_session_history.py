@@ -480,7 +480,7 @@ class History:
     watched, ledger
         The charts, and the dose of each sample.
     waiting
-        What has no chart, and why: too few sessions, or a reference without scatter.
+        What is not judged, and why: no session after the reference, or a reference without scatter.
     false_alarm_share, false_alarm_share_each
         Share of the sessions with nothing wrong that raise any alarm, and of one quantity.
     newest_utc
@@ -570,8 +570,17 @@ def _series(
             series.append((of, quantity, sessions))
         else:
             alike.setdefault(of, []).append(quantity)
-    waiting = (f"{of}: has {n} of the {reference} sessions that its reference needs" for of, n in counts.items())
-    charted = {of for of, _, _ in series}
+    waiting = [
+        f"{of}: has {n} of the {reference} sessions that its reference needs; session {reference + 1} is the first "
+        "that is judged"
+        for of, n in counts.items()
+    ]
+    charted = dict.fromkeys(of for of, _, _ in series)
+    waiting += [
+        f"{of}: all {reference} sessions belong to the reference; capture another, which is the first that is judged"
+        for of in charted
+        if all(len(sessions) == reference for charted_of, _, sessions in series if charted_of == of)
+    ]
     copies = "; the sessions are copies of one, or of a rig without devices with one [simulated] seed"
     same = (
         f"{of}: {', '.join(names)}: exactly the same in all sessions of the reference{'' if of in charted else copies}"

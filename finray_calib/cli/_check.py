@@ -20,6 +20,7 @@ from finray_calib.cli._run import (
     input_digests,
     interruptible,
     naming,
+    number_within,
     require_new,
     whole_number,
 )
@@ -367,7 +368,7 @@ def add_history(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") ->
     )
     parser.add_argument(
         "--false-alarms",
-        type=float,
+        type=number_within("a share (0.01 is 1 %)", (0.0001, 0.2)),  # the library asks each chart for 1e-6
         default=0.01,
         metavar="SHARE",
         help="share of good sessions that may give an alarm (default: 0.01)",
@@ -389,7 +390,7 @@ def run_history(arguments: argparse.Namespace) -> int:
     from finray_calib.reports import history_page
 
     page = None if arguments.report is None else require_new(arguments.report, ".html")
-    facts = _facts(arguments.folder)
+    facts = _facts(arguments.folder, arguments.cleared)
     with naming(FinrayError, arguments.folder):
         found = session_history(facts, arguments.reference, arguments.false_alarms, arguments.cleared)
     _say_history(found, len(facts))
@@ -403,8 +404,8 @@ def run_history(arguments: argparse.Namespace) -> int:
     return OUT_OF_CONTROL if found.verdict == "OUT OF CONTROL" else 0
 
 
-def _facts(folder: Path) -> "list[SessionFacts]":
-    """Reduce the paint sessions below a folder."""
+def _facts(folder: Path, cleared: str | None) -> "list[SessionFacts]":
+    """Reduce the paint sessions below a folder, of which that which was cleared must be one."""
     from data_schemas import CaptureError
     from finray_calib.acceptance import session_facts
     from rigs.capture import JOURNAL_NAME, SESSION_NAME, read_frame_of, read_session, session_kind
@@ -421,10 +422,12 @@ def _facts(folder: Path) -> "list[SessionFacts]":
         raise CaptureError(
             f"{folder}: holds no paint session; give the folder that holds the session folders of 'finray capture'"
         )
+    names = [place.relative_to(folder).as_posix() for place in paint]
+    if cleared is not None and cleared not in names:
+        raise CaptureError(f"--cleared {cleared}: no such session; give one of {', '.join(names)}")
     facts = []
     with progress_bar("history") as progress:
-        for number, place in enumerate(paint):
-            name = place.relative_to(folder).as_posix()
+        for number, (name, place) in enumerate(zip(names, paint, strict=True)):
             progress(number, len(paint), name)
             facts.append(session_facts(name, read_session(place), partial(read_frame_of, place)))
     return facts
@@ -440,7 +443,7 @@ def _say_history(found: "History", sessions: int) -> None:
     for reason in found.reasons:
         say(f"  {reason}")
     for waiting in found.waiting:
-        say(f"  no chart: {waiting}")
+        say(f"  not judged: {waiting}")
     for name in dict.fromkeys(one.of for one in found.watched):
         say(f"  {name}: mean and sd of the reference, then the newest session")
         for one in (one for one in found.watched if one.of == name):

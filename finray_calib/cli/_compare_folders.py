@@ -104,7 +104,16 @@ def compare_folders(arguments: argparse.Namespace) -> None:
          relative=batch.relative)  # fmt: skip
     suggest_file(out / PAGE)
     if not succeeded:
-        raise CompareError(f"none of the {len(jobs)} pairs could be compared; see the reasons in {out / TABLE}")
+        raise CompareError(_none_compared(compared, out / TABLE))
+
+
+def _none_compared(pairs: "Sequence[ComparedPair]", table: Path) -> str:
+    """Return why no pair could be compared: the first reason, and for how many pairs it holds."""
+    first = pairs[0].error
+    alike = sum(pair.error == first for pair in pairs)
+    for_how_many = "" if len(pairs) == 1 else f" (the same for {alike} of {len(pairs)})"
+    none = f"none of the {len(pairs)} pair{'' if len(pairs) == 1 else 's'} could be compared"
+    return f"{none}; first reason{for_how_many}: {first}; see all reasons in {table}"
 
 
 def _batch(compared: "Sequence[ComparedPair]", work: "_Work", notes: list[str]) -> "ComparisonBatch":

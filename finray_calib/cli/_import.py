@@ -298,7 +298,10 @@ def run_render(arguments: argparse.Namespace) -> None:
     light = "linear light" if first.encoding == "linear" else "encoded values"
     wrote(out, f"{len(presses)} press{'es' if len(presses) > 1 else ''}, {columns} x {rows} px, {light}; {first.label}")
     give(presses=len(presses), width_px=columns, height_px=rows, encoding=first.encoding, label=first.label)
-    suggest_command("finray compare", out, "CAPTURE")
+    place: Path | None = arguments.capture
+    if one and place is not None and place.is_dir():
+        place /= f"{name}{CAPTURE}"
+    suggest_command("finray compare", out, place or ("CAPTURE" if one else "CAPTURES"))
     say(f"  {first.notes[0]}")
 
 
@@ -376,8 +379,8 @@ Import a folder of presses of another lab as tactile captures. A recipe, a short
 presses, where the image without contact is, which columns hold the contact, and what the scale and the ball are. Give
 the name of a recipe that comes with finray (--list shows the names) or a file of your own. From a video the images with
 contact, without contact, and its repeat are taken. Contact circles that the set does not state are searched for. OUT
-gets a capture of each press, a picture of all contacts to check (contacts.png), and circles.csv. If a circle is wrong,
-correct circles.csv and import again with --circles.
+gets a capture of each press, a picture of all contacts to check (contacts.png), and circles.csv where a contact is a
+circle. If a circle is wrong, correct circles.csv and import again with --circles.
 
 Without --recipe, the command says what the folder holds and writes the start of a recipe for it (OUT ends in .toml).
 
@@ -446,7 +449,7 @@ def run_captures(arguments: argparse.Namespace) -> None:
     out = require_new(arguments.out or Path(f"{folder.resolve().name.removesuffix('.zip')}.captures"))
     circles = {} if arguments.circles is None else read_circles(arguments.circles)
     given = [recipe_file, *([] if arguments.circles is None else [arguments.circles])]
-    sheet, files, told = ContactSheet(), _Names(), _Told()
+    sheet, files, told, predicted = ContactSheet(), _Names(), _Told(), 0
     made_of: dict[str, tuple[Path, ...]] = {}
     with ProductSet(out) as products:
 
@@ -464,13 +467,13 @@ def run_captures(arguments: argparse.Namespace) -> None:
 
         with progress_bar("import") as progress:
             found = read_by_recipe(folder, recipe, circles, progress, take)
-        predicted = 0
         for name, press, taught in _predicted(found.captures, arguments.predict_from):
             read = {path for source in (name, *taught) for path in made_of[source]}
             store(press, f"{files.of(name)}{PRESS}", sorted(read))
             predicted += 1
         products.add(out / CONTACTS, sheet.png())
-        products.add(out / CIRCLES, sheet.circles_csv().encode())
+        if told.circles:
+            products.add(out / CIRCLES, sheet.circles_csv().encode())
     _tell(out, told, found.left_out, predicted)
 
 
@@ -514,16 +517,17 @@ _NAMED = 5
 
 
 class _Told:
-    """Keep what is said of a set: its size, what the first capture tells of all, and what each of them lacks."""
+    """Keep what is said of a set: its size, its circles, what the first capture tells of all, and what each lacks."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = self.circles = 0
         self.first: TactileCapture | None = None
         self.lacks: dict[MissingPart, list[str]] = {}
 
     def add(self, capture: "TactileCapture") -> None:
         """Count a capture and what it lacks; only the first is kept."""
         self.count += 1
+        self.circles += capture.contact_circle is not None
         self.first = self.first or capture
         for part in capture.missing:
             self.lacks.setdefault(part, []).append(capture.name)
@@ -588,16 +592,16 @@ def _tell(out: Path, told: _Told, left_out: dict[str, list[str]], predicted: int
         say(f"  lacks {part.what}{some}: {part.lost}")
     for why, names in left_out.items():
         say(f"  left out: {', '.join(names)}: {why}")
+    if not told.circles:
+        say(f"  {CIRCLES} is not written, because no press has a circle")
     if predicted:
         say(f"  {predicted} presses are predicted by a table that was trained on other presses")
         suggest_command("finray compare", out, out)
     if first.contact_told_by == "search":
         correct = (
-            ""
+            "give the corners of wrong ones as outline_px below [contact] of the recipe, and import again"
             if first.contact_circle is None
-            else (
-                f", correct wrong circles in {out / CIRCLES} (set source to label in these rows), and import "
-                "again with --circles"
-            )
+            else f"correct wrong circles in {out / CIRCLES} (set source to label in these rows), and import again with "
+            "--circles"
         )
-        warn(f"the contacts were found by an automatic search; check them in {out / CONTACTS}{correct}")
+        warn(f"the contacts were found by an automatic search; check them in {out / CONTACTS}, {correct}")

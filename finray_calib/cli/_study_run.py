@@ -211,9 +211,10 @@ def run_design_study(arguments: argparse.Namespace) -> None:
 
     plan, path = read_plan(arguments.plan)
     points = study_points(plan, path)
-    if arguments.paint and not plan.measure.images:
+    unused = "--paint" if arguments.paint else "--paints-as-given" if arguments.paints_as_given else ""
+    if unused and not plan.measure.images:
         raise SimulateError(
-            f"{path}: the plan renders no images (measure.images = false), so paints have no effect; leave --paint out"
+            f"{path}: the plan renders no images (measure.images = false), so {unused} has no effect; leave it out"
         )
     paints, files = _paints(arguments) if plan.measure.images else (StudyPaints({}, {}), [])
     out = require_folder(arguments.out or Path(file_name(plan.name)))

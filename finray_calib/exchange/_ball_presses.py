@@ -245,9 +245,15 @@ def read_circles(path: Path) -> dict[str, SourcedCircle]:
 
 def _catalogued(folder: Path, ball_diameter_mm: float | None, left_out: list[str]) -> list[BallPress]:
     """Return the labelled presses of a gs_sdk catalog."""
-    presses = []
+    presses, seen = [], set[PurePosixPath]()
     for line, row in _rows(folder / CATALOG, (_FOLDER,)):
         name = _inside(row[_FOLDER], folder / CATALOG, line)
+        if name in seen:
+            raise ImportFormatError(
+                f"{folder / CATALOG}, line {line}: the press {name} is listed twice, so that it would count as two; "
+                "remove the line"
+            )
+        seen.add(name)
         label = folder / name / "label.npz"
         if not label.is_file():
             left_out.append(f"{name}: has no label.npz and so no contact circle")

@@ -45,10 +45,13 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", "
 _NO_CONTACT: Final = re.compile(
     r"(^|[^a-z])(bg|background|baseline|blank|ref|rest|flat|empty|no_?contact|no_?touch|untouched|init)", re.I
 )
+_BEFORE: Final = re.compile(r"(^|[^a-z])(pre|before)(?![a-z])", re.I)
+_AFTER: Final = re.compile(r"(^|[^a-z])(post|after)(?![a-z])", re.I)
 _MAP: Final = re.compile("depth|height", re.I)
 _TIME: Final = re.compile(r"(t|.*time.*|.*stamp.*|.*_m?s)", re.I)
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
-_GROUPS_SHOWN, _KEYS_SHOWN = 12, 16
+_GROUPS_SHOWN, _KEYS_SHOWN, _NAMED = 12, 16, 4
+_WITH_PICTURES: Final = (*_PICTURES, *VIDEOS, ".npz")
 _RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
 _MOST_SURVEYED = 20_000
 _RECIPE_START: Final = """\
@@ -133,7 +136,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
     Raises
     ------
     ImportFormatError
-        There is no such folder, or no file in it.
+        There is no such folder, or no picture, video or array in it.
     """
     inside = folder_at(folder, ImportFormatError)
     if inside is None:
@@ -146,6 +149,12 @@ def survey_folder(folder: Path) -> FolderSurvey:
     if not found:
         raise ImportFormatError(f"{folder}: contains no file; give the folder of the set")
     kinds = [_Kind(names) for names in sorted(found.values(), key=len, reverse=True)]
+    if not any(kind.suffix in _WITH_PICTURES for kind in kinds):
+        held = ", ".join(_printable(f"{len(kind.names)} x {_pattern(kind.names)}") for kind in kinds[:_NAMED])
+        raise ImportFormatError(
+            f"{folder}: contains no picture, video or array ({', '.join(_WITH_PICTURES)}), but {held}"
+            f"{', ...' if len(kinds) > _NAMED else ''}; give the folder or archive that holds the images of the presses"
+        )
     for kind in kinds[:_GROUPS_SHOWN]:
         _look(kind, inside / kind.names[0])
     lines = [_printable(f"{len(kind.names)} x {_pattern(kind.names)}: {kind.told}") for kind in kinds[:_GROUPS_SHOWN]]
@@ -158,7 +167,7 @@ def survey_folder(folder: Path) -> FolderSurvey:
 def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     """Return the start of a recipe."""
     pictures = [kind for kind in kinds if kind.suffix in (*_PICTURES, *VIDEOS)]
-    touched = [kind for kind in pictures if not (_NO_CONTACT.search(kind.stem) or _MAP.search(kind.stem))] or pictures
+    touched = _touched(pictures)
     untouched = [name for kind in pictures if _NO_CONTACT.search(kind.stem) for name in kind.names]
     files, chosen = _pattern(touched[0].names) if touched else "{press}.png", ""
     stacks = [(kind, array) for kind in kinds for array, shape in kind.columns.items() if _is_stack(array, shape)]
@@ -180,6 +189,8 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     rest = "median_of_presses = true      # a substitute: better name a file"
     if presses.suffix in VIDEOS:
         rest = "frames_before = 10"
+    elif around := _around(presses, words, pictures):
+        rest = "\n".join(f"{field} = {_toml(file)}" for field, file in around.items())
     elif untouched:
         rest = f"file = {_toml(_rest_file(untouched, presses, files))}"
     contact, indenter = _proposals(presses, words, kinds)
@@ -191,6 +202,27 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
         indenter="\n".join(f"# {_printable(line)}" for line in indenter),
         rest="\n".join(f"# {line}" for line in lines),
     )
+
+
+def _touched(pictures: Sequence[_Kind]) -> Sequence[_Kind]:
+    """Return the kinds that may show contact: of pictures from before and after something, those from between."""
+    shown = [kind for kind in pictures if not (_NO_CONTACT.search(kind.stem) or _MAP.search(kind.stem))] or pictures
+    if not any(_BEFORE.search(kind.stem) for kind in shown):
+        return shown
+    later = [kind for kind in shown if not _BEFORE.search(kind.stem)]
+    return [kind for kind in later if not _AFTER.search(kind.stem)] or later or shown
+
+
+def _around(presses: _Kind, words: Mapping[int, str], pictures: Sequence[_Kind]) -> dict[str, str]:
+    """Return the patterns of the pictures before each press, and after it where those do not show the contact."""
+    found = dict[str, str]()
+    for name, when in (("file", _BEFORE), ("repeat_file", _AFTER)):
+        for kind in pictures:
+            if kind is not presses and len(kind.names) > 1 and when.search(kind.stem):
+                file = _pattern_like(kind, presses, words)
+                if set(PLACEHOLDER.findall(file)) == set(words.values()):
+                    found.setdefault(name, file)
+    return found if "file" in found else {}
 
 
 def _is_stack(name: str, shape: tuple[int, ...]) -> bool:
@@ -217,11 +249,11 @@ def _chosen(files: str, names: Sequence[str], pictures: Sequence[_Kind]) -> str:
         for name in kind.names
         if name not in names and name.startswith(before) and name.endswith(after) and len(name) > len(before + after)
     ]
-    only = "?" * len(presses[0])
     if not others:
         return ""
-    if all(fnmatchcase(name, only) for name in presses) and not any(fnmatchcase(name, only) for name in others):
-        return f"\nonly = {_toml(only)}"
+    for only in ("?" * len(presses[0]), "*[0-9]"):
+        if all(fnmatchcase(name, only) for name in presses) and not any(fnmatchcase(name, only) for name in others):
+            return f"\nonly = {_toml(only)}"
     return f"\nleave_out = [{', '.join(map(_toml, others))}]" if len(others) <= _KEYS_SHOWN else ""
 
 

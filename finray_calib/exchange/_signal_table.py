@@ -151,10 +151,8 @@ def import_signal_table(
     ------
     ImportFormatError
         A column or cell is wrong or missing, or no filter passes the laser.
-    RecordError
-        The rig file or an option is wrong.
-    CurveError
-        A curve is unusable.
+    RecordError, CurveError
+        The rig file, an option or a curve is wrong.
     """
     options = _checked(options)
     read = read_signal_cells(table)
@@ -515,6 +513,8 @@ def _fluorescence(
     """Return the level of the laser and the signals referred to it."""
     e = _excitation(optics)
     level = level_of_readings(readings, e)
+    if level is not None and options.assumed_yield is not None:
+        raise ImportFormatError(f"--assume-yield has no effect, because {table.path} has 'white_laser'; leave it out")
     if level is None:
         _require_unmeasured(table, readings, optics, options)
         level = _assumed_level(readings, optics, options.assumed_yield or 0.0)

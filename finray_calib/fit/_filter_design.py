@@ -122,6 +122,8 @@ def stock_catalogue() -> tuple[CatalogueFilter, ...]:
     return tuple(CatalogueFilter(c, w, 0.6 if w <= 10 else 0.9) for c in STOCK_CENTRES_NM for w in STOCK_WIDTHS_NM)
 
 
+_MOST_SLOTS: Final = 64
+"""As a rig file numbers them."""
 _COLUMNS: Final = {"centre_nm": (200.0, 2000.0), "width_nm": (1.0, 500.0), "peak_transmission": (1e-3, 1.0)}
 
 
@@ -208,11 +210,12 @@ def design_filters(
     kept = _kept(optics, keep_nm)
     wanted = (len(optics.filters) if number is None else number) - len(kept)
     offered = _other_than(kept, [f for f in catalogue if _usable(f, optics)])
-    if not 1 <= wanted <= len(offered):
+    most = min(len(kept) + len(offered), _MOST_SLOTS)
+    if not 1 <= wanted <= most - len(kept):
         raise FitError(
-            f"design: the number of filters must be {len(kept) + 1} to {len(kept) + len(offered)} (--number), but "
-            f"{wanted + len(kept)} were requested; {len(kept)} are kept, and {len(offered)} others of the catalogue "
-            "pass no laser light"
+            f"design: the number of filters must be {len(kept) + 1} to {most} (--number), but "
+            f"{wanted + len(kept)} were requested; {len(kept)} are kept, {len(offered)} others of the catalogue "
+            f"pass no laser light, and a rig has {_MOST_SLOTS} slots at most"
         )
     rng = np.random.default_rng(seed)
     with threadpool_limits(limits=1, user_api="blas"):

@@ -198,6 +198,8 @@ def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
             yield f"  {_method(score.skill)}"
         else:
             yield f"{_simulator(score)}: no press could be compared"
+    if len(batch.differences) > 1:
+        yield "differences in skill; all their 95 % intervals hold together (Bonferroni):"
     for difference in batch.differences:
         yield f"{_difference_sentence(difference)}"
     yield from _own_sentence(batch)

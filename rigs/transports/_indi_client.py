@@ -4,6 +4,7 @@ Where devices are (addresses, servers and what they have), and what one of them 
 """
 
 import contextlib
+import re
 import socket
 import time
 from collections import deque
@@ -28,6 +29,8 @@ DEFAULT_PORT: Final = 7624
 CAMERA_INTERFACE: Final = 1 << 1
 FILTER_WHEEL_INTERFACE: Final = 1 << 4
 LIGHT_INTERFACE: Final = 1 << 10
+#: What drivers print for a number without a limit.
+_NO_LIMIT: Final = re.compile(r"\s*[+-]?(nan|inf(inity)?)\s*", re.I)
 _LISTING_S: Final = 0.5
 _LISTING_BYTES: Final = 2**16
 
@@ -124,7 +127,7 @@ class IndiProperty:
     values
         Texts of the members, by name.
     ranges
-        Least and greatest value of numbers, by name of the member.
+        Least and greatest value of numbers that have both, by name of the member.
     definitions, settings
         How often the driver has defined and set it in this connection: whoever waits for news compares.
     """
@@ -230,12 +233,10 @@ class IndiDevice:
             known.state = message.attributes.get("state", known.state)
             for element in message.elements:
                 known.values[element.name] = element.text
-                if "min" in element.attributes and "max" in element.attributes:
+                stated = [element.attributes.get(end, "nan") for end in ("min", "max")]
+                if not any(_NO_LIMIT.fullmatch(end) for end in stated):
                     where = f"{self.name}: range of {message.name}"
-                    known.ranges[element.name] = (
-                        number(element.attributes["min"], where),
-                        number(element.attributes["max"], where),
-                    )
+                    known.ranges[element.name] = (number(stated[0], where), number(stated[1], where))
 
     def _forget(self, name: str) -> None:
         """Drop a property, or all; without the needed one there is no device."""

@@ -517,7 +517,7 @@ def _prepared(
     assembly = Assembly(Elasticity(touch.mesh, finger_materials(design), settings.threads), [*touch.terms, *ties])
     begin, done = _begun(resume, touch, depth)
     if start is None and resume is None:
-        predict = _path_from_coarse(_first_on_coarse(design, settings, watch), touch.mesh, depth)
+        predict = _path_from_coarse(_first_on_coarse(design, settings, folder, watch), touch.mesh, depth)
     else:
         predict = None if start is None else _path_of(start, touch.mesh, depth)
     had_mm = None if resume is None else resume.parts_touch_from_mm
@@ -619,7 +619,7 @@ def _passed_through(touch: PressContact, state: State, pushed_mm: float, pad_mm:
     return "" if force_n > 0.0 or between else "the indenter has passed through the coat"
 
 
-def _first_on_coarse(design: FingerDesign, settings: PressSettings, watch: Watch) -> PressedFinger | None:
+def _first_on_coarse(design: FingerDesign, settings: PressSettings, folder: Path, watch: Watch) -> PressedFinger | None:
     """Press by the first increment on the coarse mesh, which halves the finer one's iterations there.
 
     Further increments are extrapolated: from 3 to 4 mm the coarse path led to a slow start on the medium mesh.
@@ -630,7 +630,7 @@ def _first_on_coarse(design: FingerDesign, settings: PressSettings, watch: Watch
     first = design.indenter.model_copy(update={"depth_mm": design.indenter.depth_mm / settings.increments})
     coarse = PressSettings("coarse", 1, settings.threads, "penalty", watch.left_s)
     try:
-        return press_finger(design.model_copy(update={"indenter": first}), coarse, progress=watch.coarse)
+        return press_finger(design.model_copy(update={"indenter": first}), coarse, folder=folder, progress=watch.coarse)
     except SimulateError:
         return None
 

@@ -146,6 +146,7 @@ def _model(where: str, storage: Any) -> str:
 _STEPS, _STEP_TOLERANCE = 500, 1e-13
 _LARGEST_INVERSION_ERROR_PX = 1e-5
 _BISECTIONS = 60
+_NEWTON_STEPS, _WAY_POINTS = 60, 65
 # grid of the spline: with 8 px per interval a lens of 120 deg is met to better than 1e-4 px
 _INTERVAL_PX, _FEWEST_INTERVALS, _MOST_INTERVALS = 8.0, 64, 256
 _DEGREE = 3
@@ -210,8 +211,8 @@ def require_same_shape(calibration: CameraCalibration, width_px: int, height_px:
 def rays_of_pixels(calibration: CameraCalibration, pixels: Floats) -> Floats:
     """Return the unit directions (..., 3) that a camera images onto points (..., 2) of its picture.
 
-    Pinhole models are inverted by cv2.undistortPoints; fisheye models by bisection of theta_d(theta), because
-    OpenCV's inversion ends at 90 deg from the axis.
+    Pinhole models are inverted by cv2.undistortPoints, and by Newton's method where that does not converge; fisheye
+    models by bisection of theta_d(theta), because OpenCV's inversion ends at 90 deg from the axis.
 
     Raises
     ------
@@ -233,14 +234,42 @@ def _pinhole_rays(calibration: CameraCalibration, points: Floats) -> Floats:
     """Invert the pinhole model and make sure that it was inverted."""
     matrix, distortion = camera_matrix_of(calibration), np.array(calibration.distortion or (0.0,) * 4)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _STEPS, _STEP_TOLERANCE)
-    plane = cv2.undistortPoints(points, matrix, distortion, criteria=criteria)
-    rays = np.concatenate([plane, np.ones((len(plane), 1, 1))], axis=-1)
-    back, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
-    error = np.linalg.norm((back - points)[:, 0], axis=-1)
-    # moving the point by (dx, dy) must move its image the same way round: columns 3, 4 are the translation's
-    turn = jacobian[0::2, 3] * jacobian[1::2, 4] - jacobian[0::2, 4] * jacobian[1::2, 3]
-    _require_invertible(calibration, points, ~(error < _LARGEST_INVERSION_ERROR_PX) | ~(turn > 0.0))
+    plane: Floats = np.asarray(cv2.undistortPoints(points, matrix, distortion, criteria=criteria)[:, 0], np.float64)
+    image, slope = _image_of_plane(calibration, plane)
+    bad = ~(np.linalg.norm(image - points[:, 0], axis=-1) < _LARGEST_INVERSION_ERROR_PX) | ~(np.linalg.det(slope) > 0.0)
+    if bad.any():  # OpenCV's steps do not end where the picture is squeezed much
+        plane[bad], bad[bad] = _by_newton(calibration, points[bad, 0])
+    _require_invertible(calibration, points, bad)
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)[:, None]
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _image_of_plane(calibration: CameraCalibration, plane: Floats) -> tuple[Floats, Floats]:
+    """Return the image (N, 2) of points at distance 1, px, and its derivatives (N, 2, 2) by their place."""
+    matrix, distortion = camera_matrix_of(calibration), np.array(calibration.distortion or (0.0,) * 4)
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)[:, None]
+    image, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, distortion)
+    moved = jacobian[:, 3:5].reshape(-1, 2, 2)  # columns 3, 4 are the translation's
+    return np.asarray(image[:, 0], np.float64), np.asarray(moved, np.float64)
+
+
+def _by_newton(calibration: CameraCalibration, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Invert the pinhole model by Newton's method, from the undistorted place, and say where it cannot be inverted.
+
+    The way from the axis to a ray that is found must keep its sense of rotation: behind a fold the image may turn back.
+    """
+    plane = (pixels - np.array(calibration.centre_px)) / np.array(calibration.focal_px)
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON_STEPS):
+            image, slope = _image_of_plane(calibration, plane)
+            flat = ~(np.linalg.det(slope) > 0.0)
+            step = np.linalg.solve(np.where(flat[:, None, None], np.eye(2), slope), (pixels - image)[..., None])[..., 0]
+            plane = np.where(flat[:, None], np.nan, plane + step)
+        image, _ = _image_of_plane(calibration, plane)
+        bad = ~(np.linalg.norm(image - pixels, axis=-1) < _LARGEST_INVERSION_ERROR_PX)
+        for share in np.linspace(0.0, 1.0, _WAY_POINTS):
+            bad |= ~(np.linalg.det(_image_of_plane(calibration, share * plane)[1]) > 0.0)
+    return plane, bad
 
 
 def _fisheye_rays(calibration: CameraCalibration, points: Floats) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data_schemas import FinrayError
-from finray_calib.acceptance import SessionFacts, session_facts, session_history
+from finray_calib.acceptance import SessionFacts, chart_rules, session_facts, session_history, watch
 from finray_calib.cli.main import main
 from finray_calib.reports import history_page
 from rigs import paint_plan, simulated_rig
@@ -156,14 +156,36 @@ def test_order_is_that_of_the_capture():
     assert session_history(facts[::-1]).watched[0].sessions == tuple(one.name for one in facts)
 
 
-def test_few_sessions_decide_nothing():
+def test_few_sessions_decide_nothing_and_the_history_says_which_session_is_the_first_that_is_judged():
     found = session_history(made(noise(8)))
     assert found.verdict == "UNDECIDED"
-    assert "8 of the 10 sessions" in found.waiting[0]
-    assert session_history(made(noise(10))).verdict == "UNDECIDED"
+    assert found.waiting == (
+        "rig: has 8 of the 10 sessions that its reference needs; session 11 is the first that is judged",
+    )
+    full = session_history(made(noise(10)))
+    assert full.verdict == "UNDECIDED"
+    assert full.waiting == (
+        "rig: all 10 sessions belong to the reference; capture another, which is the first that is judged",
+    )
+    assert session_history(made(noise(11))).waiting == ()
     alike = session_history(made(np.ones(12)))
     assert (alike.verdict, alike.watched) == ("UNDECIDED", ())
     assert "exactly the same" in alike.waiting[0]
+
+
+@pytest.mark.parametrize(("reference", "at_once", "within_five"), [(6, 9.1, 4.3), (10, 5.8, 3.0), (20, 4.5, 2.3)])
+def test_deviations_that_are_found_half_of_the_time(reference, at_once, within_five):
+    """The sizes of docs/how-to/watch-a-rig.md, for 18 charts that share 1 %; of sessions that scatter normally."""
+    rules = chart_rules(1 - 0.99 ** (1 / 18), reference)
+    rng = np.random.default_rng(reference)
+    found = {at_once: 0, within_five: 0}
+    for deviation, sessions in ((at_once, 1), (within_five, 5)):
+        for _ in range(1500):
+            values = rng.standard_normal(reference + sessions)
+            values[reference:] += deviation
+            found[deviation] += bool(watch(values, rules).alarms)
+    # sizes are rounded to 0.1: up to 2 % more or less are found; four errors of 1500 rigs are 5.2 %
+    assert [count / 1500 for count in found.values()] == pytest.approx([0.5, 0.5], abs=0.075)
 
 
 def test_false_alarms_are_shared_by_all_charts():
@@ -252,7 +274,13 @@ def test_command(lab, tmp_path, capsys):
     assert main(["history", str(lab), "--reference", "6", "--cleared", "s6"]) == 0
     assert main(["history", str(lab), "--reference", "6", "--report", str(page)]) == 2
     assert main(["history", str(lab)]) == 0
-    assert "7 of the 10 sessions" in capsys.readouterr().out
+    assert "  not judged: rig: has 7 of the 10 sessions" in capsys.readouterr().out.replace(rig_with().name, "rig")
+
+
+def test_a_wrong_name_of_a_cleared_session_is_refused_before_any_session_is_read(lab, capsys, monkeypatch):
+    monkeypatch.setattr("rigs.capture.read_session", lambda place: pytest.fail(f"{place} was read"))
+    assert main(["history", str(lab), "--reference", "6", "--cleared", "s9"]) == 2
+    assert "--cleared s9: no such session; give one of s0, s1, s2, s3, s4, s5, s6" in capsys.readouterr().err
 
 
 def test_a_page_of_few_sessions_names_folder_and_newest_session_and_an_unfinished_one_is_told(

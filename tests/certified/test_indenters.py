@@ -1,5 +1,7 @@
 """Indenters of a design: facets, poses, exact first touch, files of the user, and what the analytic press refuses."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,8 +19,10 @@ from sim.mechanics import (
     rigid_indenter,
     side_outline_mm,
 )
+from sim.mechanics import _press as press_module
 from sim.mechanics._colliding_surfaces import edge_edge_mm, point_triangle_mm
 from sim.mechanics._indenters import least_over_triangles, over_rectangle
+from sim.mechanics._press import _first_on_coarse
 from sim.mechanics._rigid_bodies import FacetedBody, TriangleMesh, check_closed_body, read_body, rotation_matrix
 from sim.surface_meshes import pressed_height_mm, rest_height_mm, stl_bytes, unpressed_design
 
@@ -252,6 +256,16 @@ def test_a_large_tilted_stl_touches_where_the_same_cuboid_does(tmp_path, pad, ro
     touching = rigid_indenter(design, tmp_path).touching
     # the file holds single precision; faces that touch are the same, edges that do are rounded by 0.01 mm
     assert touching.position_mm == pytest.approx(rigid_indenter(exact).touching.position_mm, abs=1e-4)
+
+
+def test_the_first_press_on_the_coarse_mesh_finds_the_file_beside_the_design(tmp_path, monkeypatch):
+    """Without its folder the coarse press failed unnoticed, and the finer one began without its help."""
+    (tmp_path / "cube.stl").write_bytes(stl_bytes(CUBE.triangles, CUBE.vertices_mm, "cube"))
+    design = FingerDesign(indenter=Indenter(shape="mesh", file="cube.stl", depth_mm=1.0))
+    pressed_as = lambda coarse, *_, folder=Path(), **__: rigid_indenter(coarse, folder)  # noqa: E731
+    monkeypatch.setattr(press_module, "press_finger", pressed_as)
+    coarse = _first_on_coarse(design, PressSettings("medium", 2), tmp_path, press_module.Watch(None, 2))
+    assert coarse.touching.position_mm == rigid_indenter(design, tmp_path).touching.position_mm
 
 
 def plan_area_mm2(triangles):

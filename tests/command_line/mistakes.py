@@ -578,7 +578,7 @@ CASES = (
     Case(
         "number of filters",
         "design filters {lab}/rig.toml --number 0 --paints 0",
-        r"design: the number of filters must be 2 to 72 \(--number\), but 0 were requested; 1 are kept, and 71",
+        r"design: the number of filters must be 2 to 64 \(--number\), but 0 were requested; 1 are kept, 71",
     ),
     Case(
         "columns of pairs",
@@ -1008,7 +1008,13 @@ CASES = (
     Case(
         "paints of a study without images",
         "study run {tmp}/study.toml --paint red=none.json --paint green=none.json",
-        r"study\.toml: the plan renders no images \(measure\.images = false\), so paints have no effect; leave --paint",
+        r"study\.toml: the plan renders no images \(measure\.images = false\), so --paint has no effect; leave it out",
+        file("study.toml", STUDY),
+    ),
+    Case(
+        "paints as given of a study without images",
+        "study run {tmp}/study.toml --paints-as-given",
+        r"study\.toml: the plan renders no images .*, so --paints-as-given has no effect; leave it out",
         file("study.toml", STUDY),
     ),
     Case(
@@ -1040,6 +1046,11 @@ USAGE = (
         "history with too short a reference",
         "history {lab} --reference 5",
         r"argument --reference: '5' must be a whole number from 6 to \d+",
+    ),
+    Case(
+        "history with too many false alarms",
+        "history {lab} --false-alarms 1",
+        r"argument --false-alarms: '1' must be a share \(0.01 is 1 %\) of 0.0001 to 0.2",
     ),
     Case("capital letter", "Fit {lab}/bands.json", r"invalid choice: 'Fit' .*; did you mean 'fit'\?"),
     Case(

@@ -5,6 +5,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -107,6 +108,9 @@ def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     assert (difference.first, difference.second, difference.better_in) == ("simulated", "weak", 3)
     assert difference.low95 is not None
     assert difference.low95 > 0.0
+    simultaneous = "differences in skill; all their 95 % intervals hold together (Bonferroni):"
+    assert simultaneous not in outcome.out
+    assert simultaneous in batch_lines(batch.model_copy(update={"differences": (difference, difference)}))
     assert (folders / "out/weak/one.photometric-error.html").is_file()
     page = (folders / "out/summary.html").read_text()
     assert "simulated is best" in page
@@ -163,11 +167,16 @@ def test_a_mismatch_is_compared_when_asked(folders: Path) -> None:
     assert "channel order: " in finray(f"compare {pair} --despite-mismatch").out
 
 
-def test_nothing_compared_is_an_error_that_says_where_to_look(folders: Path) -> None:
-    (folders / "pairs.csv").write_text("simulated,captured\nx.json,y.json\n")
-    outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
-    assert outcome.status == 2
-    assert f"none of the 1 pairs could be compared; see the reasons in {folders}/out/summary.csv" in outcome.err
+def test_nothing_compared_is_an_error_that_gives_the_first_reason_and_says_where_to_look(folders: Path) -> None:
+    for rows, expected in (
+        ("x.json,y.json", r"none of the 1 pair could be compared; first reason: \S*/x\.json: no such file.*"),
+        ("x.json,y.json,a\nx.json,y.json,b\nz.json,y.json,c", r".* first reason \(the same for 2 of 3\): .*x\.json.*"),
+    ):
+        (folders / "pairs.csv").write_text(f"simulated,captured,name\n{rows}\n")
+        shutil.rmtree(folders / "out", ignore_errors=True)
+        outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
+        assert outcome.status == 2
+        assert re.search(f"{expected}; see all reasons in {folders}/out/summary.csv", outcome.err), outcome.err
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,7 @@ def test_mistakes(rig, tmp_path):
     for words, match in (
         (f"design filters {path} --keep 405", "are only for a rig"),
         (f"design filters {rig} --keep 406", "filters of the rig are centred at 405, 450"),
+        (f"design filters {rig} --number 65", "must be 2 to 64 (--number), but 65 were requested; 1 are kept, "),
         (f"design filters {rig} --paints -1", "must be 0 or more"),
         (f"design filters {rig} --catalogue {tmp_path}/none.csv", "none.csv"),
     ):

@@ -256,6 +256,14 @@ def test_what_is_missing_or_disagrees_is_refused(tmp_path):
         read_ball_presses(bare, MM_PER_PX, BALL_DIAMETER_MM)
 
 
+def test_a_press_that_a_catalog_lists_twice_is_refused(tmp_path):
+    folder = write_catalog(tmp_path / "f")
+    with (folder / "catalog.csv").open("a") as file:
+        file.write(f"4.000mm/1,{BALL_DIAMETER_MM:.3f}\n")  # line 3 writes it with a backslash
+    with pytest.raises(ImportFormatError, match=r"catalog\.csv, line 5: the press 4\.000mm/1 is listed twice"):
+        read_ball_presses(folder, MM_PER_PX, BALL_DIAMETER_MM)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

@@ -15,7 +15,7 @@ from data_schemas import ImportFormatError
 from data_schemas.storage._array_files import parse_file
 from finray_calib.exchange import Recipe, read_by_recipe, survey_folder
 from finray_calib.exchange._set_files import ArrayFiles, map_of, orientation, pixels_of
-from tests.command_line.running import succeed
+from tests.command_line.running import finray, succeed
 from tests.exchange.recipe_folders import BALLS, flat, grasp, repicture, save, turned_jpeg, write_lab, write_video
 
 DEEP = "has 8 bits, colour, but .*{} has 16 bits, colour, so their values cannot be compared"
@@ -372,6 +372,53 @@ def test_odd_names_write_no_lines_of_their_own_into_a_recipe(tmp_path):
     assert "force" not in found.recipe.replace("\\nforce", "")
     assert all(line.isprintable() for line in found.lines)
     assert tables["presses"]["files"] == "p😀_{press}.png"
+
+
+@pytest.mark.parametrize(
+    ("press", "before", "after", "expected"),
+    [
+        ("p{}.png", "p{}_pre.png", "p{}_post.png", ("p{press}.png", "p{press}_pre.png", "p{press}_post.png")),
+        ("p{}_post.png", "p{}_pre.png", None, ("p{press}_post.png", "p{press}_pre.png", None)),
+        ("p{}/on.png", "p{}/before.png", "p{}/after.png", ("p{press}/on.png", "p{press}/before.png",
+                                                           "p{press}/after.png")),
+    ],
+)  # fmt: skip
+def test_pictures_before_and_after_a_press_are_those_without_contact(tmp_path, press, before, after, expected):
+    rng = np.random.default_rng(0)
+    for k in range(12):  # numbers of one and of two digits
+        save(tmp_path / press.format(k), grasp()[20])
+        for name in filter(None, (before, after)):
+            save(tmp_path / name.format(k), flat() + rng.integers(0, 2, flat().shape))
+    found = Recipe.model_validate(tomllib.loads(survey_folder(tmp_path).recipe))
+    assert (found.presses.files, found.no_contact.file, found.no_contact.repeat_file) == expected
+    captures = read_by_recipe(tmp_path, found.model_copy(update={"contact": None})).captures
+    assert list(captures) == [str(k) for k in range(12)]
+    assert all((c.repeat_no_contact is None) == (after is None) for c in captures.values())
+
+
+def test_a_folder_without_pictures_begins_no_recipe(tmp_path, monkeypatch):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "forces.csv").write_text("press,force\n1,2\n")
+    (tmp_path / "set" / "notes.pdf").write_bytes(b"none")
+    monkeypatch.chdir(tmp_path)
+    failed = finray("import captures set")
+    assert failed.status == 2
+    assert "set: contains no picture, video or array (.png, " in failed.err
+    assert "but 1 x forces.csv, 1 x notes.pdf; give the folder" in failed.err
+    assert not (tmp_path / "set.recipe.toml").exists()
+
+
+def test_contacts_by_outline_leave_no_empty_table_of_circles(tmp_path, monkeypatch):
+    write_lab(tmp_path / "set")
+    circle = 'file = "labels.csv"\npress = "image"\ncircle = { column_px = "x", row_px = "y", radius_px = "r" }'
+    assert circle in BALLS
+    (tmp_path / "r.toml").write_text(BALLS.replace(circle, 'search = "outline"'))
+    monkeypatch.chdir(tmp_path)
+    outcome = finray("import captures set --recipe r.toml --out found")
+    assert outcome.status == 0
+    assert "circles.csv is not written, because no press has a circle" in outcome.out
+    assert "found/contacts.png, give the corners of wrong ones as outline_px below [contact]" in outcome.err
+    assert not (tmp_path / "found" / "circles.csv").exists()
 
 
 def where_files_go(content, where):

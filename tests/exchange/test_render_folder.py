@@ -68,6 +68,10 @@ def test_a_folder_of_presses_meets_a_folder_of_captures(tmp_path, monkeypatch):
         write_record(labelled, tmp_path / "captures" / f"{name}.capture.json", provenance("pytest"))
     told = succeed("import render renders --capture captures")
     assert "renders.presses: 2 presses" in told
+    assert "next: finray compare renders.presses captures\n" in told
+    assert "next: finray compare one.press.json captures/one.capture.json\n" in succeed(
+        "import render renders/one --capture captures"
+    )
     press = read_record(tmp_path / "renders.presses" / "two.press.json", SimulatedPress)
     np.testing.assert_allclose(press.distance, distance(), atol=1e-5)
     assert "skill 0.9" in succeed("compare renders.presses captures")

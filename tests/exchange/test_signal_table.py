@@ -199,6 +199,8 @@ def test_without_white_under_the_laser_a_yield_must_be_assumed_and_the_name_says
     # joined between filters 30 nm apart, the area of a curve 48 nm wide is right to a tenth
     assert ratio[0] == pytest.approx(0.1 / Truth().energy_yield, rel=0.1)
     (tmp_path / "red.csv").write_text(table(values))
+    with pytest.raises(ImportFormatError, match=r"--assume-yield has no effect, because .* has 'white_laser'"):
+        imported(tmp_path, exact(), rig, SignalOptions(assumed_yield=0.1))
     outcome = finray(f"import signals {tmp_path}/red.csv --rig {rig} --assume-yield 20")
     assert outcome.status == 2
     assert "'20' must be a yield above 0 and at most 1" in outcome.err

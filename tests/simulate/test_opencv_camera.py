@@ -71,6 +71,24 @@ def test_pinhole_rays_agree_with_the_undistortion_of_opencv():
     assert np.abs(error).max() < LARGEST_ERROR_PX
 
 
+def test_monotonic_distortions_at_which_the_steps_of_opencv_do_not_end_are_inverted():
+    """Rays are projected and found again; where cv2.undistortPoints comes to an end, it finds the same."""
+    ray_table(calibration(distortion=(-0.2, 0.02, 0.0, 0.0)))
+    distortion = (-0.2, 0.021, 0.001, -0.001)
+    camera = calibration(distortion=distortion)
+    radius, angle = np.meshgrid(np.linspace(0.0, 2.7, 200), np.linspace(0.0, 6.2, 20))
+    plane = np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1).reshape(-1, 2)
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    pixels = projected(camera, rays)
+    found = rays_of_pixels(camera, pixels)
+    np.testing.assert_allclose(found[:, :2] / found[:, 2:], plane, atol=1e-9)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-14)
+    matrix, given = camera_matrix_of(camera), np.array(distortion)
+    theirs = cv2.undistortPoints(pixels[:, None], matrix, given, criteria=criteria)[:, 0]
+    ends = np.linalg.norm(theirs - plane, axis=1) < 1e-9
+    assert 0.8 < ends.mean() < 1.0
+
+
 def test_fisheye_agrees_with_opencv_up_to_its_limit_and_goes_on_beyond():
     pixels = film_points() * [640, 480] - 0.5
     rays = rays_of_pixels(FISHEYE, pixels)

@@ -257,6 +257,10 @@ def test_a_closed_client_says_so() -> None:
         (b"SSH-2.0-OpenSSH_9.2\r\n</x>", LostError),
         (b'<defSwitchVector device="A" name="CONNECTION" state="Alert"></defSwitchVector>', TimedOutError),
         (b'<defNumberVector device="A" name="B"><defNumber name="C" min="?" max="1"/></defNumberVector>', LostError),
+        (
+            b'<defNumberVector device="A" name="X"><defNumber name="C" min="nan" max="inf"/></defNumberVector>',
+            TimedOutError,
+        ),
     ],
 )
 def test_a_stranger_at_the_port_is_found_out_in_time(said: bytes, error: type[Exception]) -> None:
