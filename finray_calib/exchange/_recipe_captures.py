@@ -476,8 +476,8 @@ class _Folder:
             raise ImportFormatError(f"{path}: every force must be a finite number; {error}") from None
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
-                f"{path}: has {len(values)} forces for {frames} frames, but must contain a finite number for each; below "
-                "[force], match by time with frames = { time = COLUMN }, or name presses by press = COLUMN"
+                f"{path}: has {len(values)} forces for {frames} frames, but must contain a finite number for each; "
+                "below [force], match by time with frames = { time = COLUMN }, or name presses by press = COLUMN"
             )
         return np.asarray(values * source.newtons)
 
