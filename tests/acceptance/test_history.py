@@ -150,6 +150,19 @@ def test_in_control_until_a_step():
     assert session_history(made(values), cleared="s15").verdict == "IN CONTROL"
 
 
+def test_a_session_of_the_reference_that_stands_out_is_told_once_with_what_shows_it():
+    values = noise(12)
+    values[4] += 30.0
+    facts = [
+        replace(one, rig={f"filter {k} (%)": one.rig["lamp level (%)"] for k in (450, 500)}) for one in made(values)
+    ]
+    found = session_history(facts)
+    assert found.outliers == {"s04": ["filter 450 (%)", "filter 500 (%)"]}
+    page = history_page(found, "lab", 10)
+    assert page.count("s04 differs from the rest of the reference") == 1
+    assert "(filter 450 (%), filter 500 (%))" in page
+
+
 def test_order_is_that_of_the_capture():
     values = noise(14)
     facts = made(values)
@@ -159,7 +172,11 @@ def test_order_is_that_of_the_capture():
 def test_few_sessions_decide_nothing():
     found = session_history(made(noise(8)))
     assert found.verdict == "UNDECIDED"
-    assert "8 of the 10 sessions" in found.waiting[0]
+    assert found.waiting == (
+        "rig: has 8 of the 10 sessions that its reference needs; capture 3 more, or give a smaller reference (6 or "
+        "more)",
+    )
+    assert session_history(made(noise(5)), reference=6).waiting[0].endswith("its reference needs; capture 2 more")
     assert session_history(made(noise(10))).verdict == "UNDECIDED"
     alike = session_history(made(np.ones(12)))
     assert (alike.verdict, alike.watched) == ("UNDECIDED", ())
