@@ -203,7 +203,8 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     from data_schemas import PaintCalibration, RecordError
     from data_schemas.storage import finite_number, read_csv, read_record
 
-    columns, rows = read_csv(path, "a CSV file of a gauge study")
+    texts = ("sample", "session", "mount", "paint")
+    columns, rows = read_csv(path, "a CSV file of a gauge study", other_marks=True, names=texts)
     value = next((name for name in ("paint", "value") if name in columns), None)
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:

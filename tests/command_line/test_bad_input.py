@@ -104,9 +104,9 @@ def test_folder_of_another_capture_is_not_offered_for_resuming(
 
 def test_a_shell_takes_the_command_that_continues_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "red paint"
+    out.mkdir()
+    (out / JOURNAL_NAME).write_text("{}\n")
     with pytest.raises(KeyboardInterrupt), interruptible(out):
-        out.mkdir()
-        (out / JOURNAL_NAME).write_text("{}\n")
         raise KeyboardInterrupt
     command = capsys.readouterr().err.partition("continue with: ")[2]
     assert shlex.split(command) == ["finray", "capture", "--resume", str(out)]
