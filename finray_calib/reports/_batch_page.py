@@ -481,7 +481,9 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     """List what each of the worst presses loses by what."""
     told = [(press, press.attribution) for press in worst if press.attribution is not None]
     names = list(dict.fromkeys(cause.cause for _, found in told for cause in found.causes))
-    totals = {n: sum(c.skill_lost for _, found in told for c in found.causes if c.cause == n) for n in names}
+    totals: dict[str, float] = {
+        n: sum(c.skill_lost for _, found in told for c in found.causes if c.cause == n) for n in names
+    }
     names.sort(key=lambda n: -totals[n])
     rows = []
     for press, found in told:
