@@ -475,7 +475,9 @@ class ComparisonBatch(Record):
     headline_region: str | None = Field(description="None where no pair could be compared")
     simulators: tuple[SimulatorScore, ...] = Field(default=(), description="the best first")
     differences: tuple[SkillDifference, ...] = Field(default=(), description="difference of every two simulators")
-    worst: tuple[str, ...] = Field(default=(), description="names of the pairs of lowest skill, the lowest first")
+    worst: tuple[str, ...] = Field(
+        default=(), description="names of the pairs of lowest skill, the lowest first; of the best simulator"
+    )
     to_capture_next: tuple[str, ...] = Field(
         default=(), description="which captures would make the scores more certain"
     )

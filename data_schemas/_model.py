@@ -480,7 +480,8 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     faults = [fault for fault in error.errors() if fault["type"] != "default_factory_not_called"]
     lines = [_fault(fault, model) for fault in faults[:LARGEST_NUMBER_OF_FAULTS]]
     if len(faults) > LARGEST_NUMBER_OF_FAULTS:
-        lines.append(f"and {len(faults) - LARGEST_NUMBER_OF_FAULTS} more faults")
+        more = len(faults) - LARGEST_NUMBER_OF_FAULTS
+        lines.append(f"and {more} more fault{'' if more == 1 else 's'}")
     return "; ".join(lines)
 
 

@@ -43,7 +43,7 @@ def read_table(path: Path) -> tuple[list[str], Floats]:
     CurveError
         The file is missing, has no rows, a row of another length, or something that is not a finite number.
     """
-    header, rows = read_csv(path, "a CSV file", CurveError, comments=True)
+    header, rows = read_csv(path, "a CSV file", CurveError, comments=True, other_marks=True)
     if len(rows) < 2:
         raise CurveError(f"{path}: must have a header row and at least two rows of numbers")
     return header, np.array([_row(path, n, cells, len(header)) for n, cells in rows])

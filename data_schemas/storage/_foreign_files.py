@@ -65,6 +65,7 @@ _TOML_WORDS = re.compile(
 _TOML_CHAIN = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{DEEPEST_TOML}}}")
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _POINT_NUMBER = re.compile(r"^\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*$")
+_SEPARATOR_LINE = re.compile(r"(?i)\A\s*sep=[,;\t]\r?\n")  # by which a spreadsheet is told what separates columns
 _COMMA_NUMBER = re.compile(r"^(\s*[+-]?\d+),(\d+(?:[eE][+-]?\d+)?\s*)$")
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -492,7 +493,7 @@ def read_csv(
         Of the class `error`: as :func:`read_text`, a quote is not closed, a column's name stands twice, a row is longer
         than the header, or the table has too many cells.
     """
-    text = read_text(path, what, error, encoding="utf-8-sig")
+    text = _SEPARATOR_LINE.sub("\n", read_text(path, what, error, encoding="utf-8-sig"))
     lines = ("\n" if comments and line.startswith("#") else line for line in io.StringIO(text, newline=""))
     mark = _mark_between_columns(text, comments) if other_marks else ","
     reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=skip_space)

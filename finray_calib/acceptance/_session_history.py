@@ -496,6 +496,15 @@ class History:
     false_alarm_share_each: float
     newest_utc: str
 
+    @property
+    def outliers(self) -> dict[str, list[str]]:
+        """Sessions of a reference that differ from the rest of it, and the quantities that show it."""
+        found: dict[str, list[str]] = {}
+        for one in self.watched:
+            if one.chart.outlier is not None:
+                found.setdefault(one.sessions[one.chart.outlier], []).append(one.quantity)
+        return found
+
 
 def session_history(
     facts: Sequence[SessionFacts], reference: int = 10, false_alarm_share: float = 0.01, cleared: str | None = None
@@ -570,9 +579,10 @@ def _series(
             series.append((of, quantity, sessions))
         else:
             alike.setdefault(of, []).append(quantity)
+    fewer = f", or give a smaller reference ({FEWEST_REFERENCE} or more)" if reference > FEWEST_REFERENCE else ""
     waiting = [
         f"{of}: has {n} of the {reference} sessions that its reference needs; session {reference + 1} is the first "
-        "that is judged"
+        f"that is judged: capture {reference + 1 - n} more{fewer}"
         for of, n in counts.items()
     ]
     charted = dict.fromkeys(of for of, _, _ in series)

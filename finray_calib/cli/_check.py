@@ -204,7 +204,8 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
     from data_schemas import PaintCalibration, RecordError
     from data_schemas.storage import finite_number, read_csv, read_record
 
-    columns, rows = read_csv(path, "a CSV file of a gauge study")
+    texts = ("sample", "session", "mount", "paint")
+    columns, rows = read_csv(path, "a CSV file of a gauge study", other_marks=True, names=texts)
     value = next((name for name in ("paint", "value") if name in columns), None)
     lacking = [name for name in ("sample", "session") if name not in columns]
     if lacking or value is None:
@@ -451,11 +452,11 @@ def _say_history(found: "History", sessions: int) -> None:
             last = (chart.values[-1] - chart.mean) / chart.sd
             newest = f"{last:+7.1f} sd" if len(one.sessions) > (chart.rules.reference or 0) else ""
             say(f"    {one.quantity:46s}{one.told_mean():>10s} {chart.sd:9.2g}{newest}")
-            if chart.outlier is not None:
-                say(
-                    f"      note: {one.sessions[chart.outlier]} differs from the rest of the reference; check that "
-                    f"it was a good session"
-                )
+    for session, quantities in found.outliers.items():
+        say(
+            f"  note: {session} differs from the rest of the reference ({', '.join(quantities)}); check that it was a "
+            "good session"
+        )
     if found.watched:
         say(f"  limits: {_limit(found.watched[0].chart.rules)}")
     for row in found.ledger:

@@ -155,7 +155,7 @@ def _compare_one(simulated: Path, arguments: argparse.Namespace) -> None:
         headline_skill=report.headline_skill, headline_region=report.headline_region, findings=report.findings,
         packaged_metrics=report.packaged_metrics, relative=report.relative,
     )  # fmt: skip
-    if not report.relative:
+    if report.objective_error is not None and not report.relative and not report.forced_mismatch:
         suggest_command("finray decide SWEEP --photometric-error", out)
     suggest_file(page)
 

@@ -124,12 +124,13 @@ def _batch(compared: "Sequence[ComparedPair]", work: "_Work", notes: list[str]) 
     simulators, unshared = rank_simulators(compared)
     if unshared:
         notes = [*notes, f"left out of the ranking, because not every simulator has them: {', '.join(unshared)}"]
+    best = simulators[0].simulator if simulators else ""  # a weak one would name presses that are not hard
     return ComparisonBatch(
         pairs=tuple(compared),
         headline_region=DILATED if any(pair.skill is not None for pair in compared) else None,
         simulators=simulators,
         differences=skill_differences(compared, [s.simulator for s in simulators]),
-        worst=worst_pairs(compared),
+        worst=worst_pairs(pair for pair in compared if pair.simulator == best),
         to_capture_next=to_capture(compared),
         relative=work.relative,
         notes=tuple(notes),

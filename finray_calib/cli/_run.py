@@ -287,7 +287,8 @@ def interruptible(out: Path) -> Iterator[None]:
             raise  # what the folder holds is not of this capture, which could not be resumed now
         except (KeyboardInterrupt, FinrayError, OSError):
             if (out / JOURNAL_NAME).exists() and not (out / MANIFEST_NAME).exists():
-                warn(f"{out}: holds what was captured so far; continue with: finray capture --resume {out}")
+                again = shlex.join(["finray", "capture", "--resume", os.fspath(out)])
+                warn(f"{out}: holds what was captured so far; continue with: {again}")
             raise
 
 

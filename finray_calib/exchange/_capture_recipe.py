@@ -369,7 +369,7 @@ class RecipeFrames(Model):
 
 
 class RecipeForce(RecipeLabels):
-    """Where the force is: of videos one number for each frame, or with its time, in a CSV or npy file with {press}."""
+    """Where the force is: of videos also one number for each frame, or with its time, in a CSV or npy file."""
 
     column: str | None = Field(
         default=None, description="column or array that holds the force, or {force} of a name; leave out for npy"
@@ -387,6 +387,11 @@ class RecipeForce(RecipeLabels):
         if self.unit != "N" and self.factor != 1.0:
             raise ValueError("unit and factor are both given; leave one of them out")
         return self
+
+    @property
+    def is_of_press(self) -> bool:
+        """Whether a press has one force, by its name or by its line of a table, also where it is a video."""
+        return self.file is None or self.press is not None or self.nearest is not None
 
     @property
     def newtons(self) -> float:

@@ -450,14 +450,13 @@ class _Folder:
             )
         images = [frame_of(frames[i], path) for i in (held, 0, before - 1)]
         self._pictures[path] = images[0]
-        named = self.recipe.force is not None and self.recipe.force.file is None
-        force_n = self._picture_force(name) if named else None if force is None else pushing(float(force[held]))
+        force_n = self._picture_force(name) if force is None else pushing(float(force[held]))
         return [self._arranged(image) for image in images], force_n
 
     def _force(self, name: str, video: Video) -> Floats | None:
-        """Return the force of each frame, N; None where there is no file."""
+        """Return the force of each frame, N; None where there is no file of frames."""
         source = self.recipe.force
-        if source is None or source.file is None:
+        if source is None or source.file is None or source.is_of_press:
             return None
         path = named_file(self.folder, source.file, self.files[name])
         if path.suffix.lower() in PICKLED:
@@ -479,7 +478,7 @@ class _Folder:
         if len(values) != frames or not np.isfinite(values).all():
             raise ImportFormatError(
                 f"{path}: has {len(values)} forces for {frames} frames, but must contain a finite number for each; "
-                "correct the file, or match by time with frames = { time = COLUMN } below [force]"
+                "below [force], match by time with frames = { time = COLUMN }, or name presses by press = COLUMN"
             )
         return np.asarray(values * source.newtons)
 
@@ -510,7 +509,7 @@ class _Folder:
     def _picture_force(self, name: str) -> float | None:
         """Return the force of a press that has one, N."""
         source = self.recipe.force
-        if source is None:
+        if source is None or (self.files[name].path.suffix.lower() in VIDEOS and not source.is_of_press):
             return None
         if source.column is None:
             raise ImportFormatError(

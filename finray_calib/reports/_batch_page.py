@@ -204,7 +204,8 @@ def batch_lines(batch: ComparisonBatch) -> Iterator[str]:
         yield f"{_difference_sentence(difference)}"
     yield from _own_sentence(batch)
     if batch.worst:
-        yield f"lowest: {', '.join(batch.worst)}"
+        of = f" of {_simulator(batch.simulators[0])}" if len(batch.simulators) > 1 else ""
+        yield f"lowest{of}: {', '.join(batch.worst)}"
     for wish in batch.to_capture_next:
         yield f"capture next: {wish}"
 
@@ -473,7 +474,7 @@ def _worst_picture(batch: ComparisonBatch, press: PressPictures) -> Picture:
     cause = ""
     if press.attribution is not None and press.attribution.causes:
         first = press.attribution.causes[0]
-        cause = f"; most is lost by {first.cause}: {fixed(first.skill_lost, 3)}"
+        cause = f"; largest cause: {first.cause}, {fixed(first.skill_lost, 3)}"
     text = f"{name}: skill {fixed(press.skill, 3)}{cause}"
     what = f"Captured change, simulated change and the remaining difference, {text}."
     return Picture(press.tiles, what, text, is_raster=True, is_small=True)
@@ -483,7 +484,9 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     """List what each of the worst presses loses by what."""
     told = [(press, press.attribution) for press in worst if press.attribution is not None]
     names = list(dict.fromkeys(cause.cause for _, found in told for cause in found.causes))
-    totals = {n: sum(c.skill_lost for _, found in told for c in found.causes if c.cause == n) for n in names}
+    totals: dict[str, float] = {
+        n: sum(c.skill_lost for _, found in told for c in found.causes if c.cause == n) for n in names
+    }
     names.sort(key=lambda n: -totals[n])
     rows = []
     for press, found in told:
@@ -495,8 +498,7 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     columns = ("press", *names, "saturation", "noise", "remainder", "1 - skill")
     lead = "No small change of the simulation explains the remaining difference."
     if names:
-        cost = fixed(totals[names[0]] / len(told), 3)
-        lead = f"Most skill is lost by {names[0]}: {cost} for each press, averaged over these presses."
+        lead = _causes_sentence(totals, [found for _, found in told])
     remark = (
         "The parts of a row add up to 1 - skill. The page of each press shows how large each cause of lost skill is, "
         "with pictures."
@@ -504,6 +506,22 @@ def _causes_part(batch: ComparisonBatch, worst: Sequence[PressPictures]) -> Part
     return Part(
         "Why the worst differ",
         Content(lead, remarks=(remark,), tables=(one_group("Skill lost", columns, rows),)),
+    )
+
+
+def _causes_sentence(totals: Mapping[str, float], told: Sequence[ErrorAttribution]) -> str:
+    """Say what costs most skill: a cause, or what no cause explains."""
+    parts = {
+        **totals,
+        "saturation": sum(found.saturation_skill for found in told),
+        "noise": sum(found.noise_skill for found in told),
+        "what none of the causes explains (remainder)": sum(found.remainder_skill for found in told),
+    }
+    cause, most = (max(of, key=lambda name: of[name]) for of in (totals, parts))
+    told_cause = f" Of the causes, {cause} costs most: {fixed(totals[cause] / len(told), 3)}." if cause != most else ""
+    return (
+        f"Most skill is lost by {most}: {fixed(parts[most] / len(told), 3)} for each press, averaged over these "
+        f"presses.{told_cause}"
     )
 
 

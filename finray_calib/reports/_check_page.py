@@ -269,10 +269,9 @@ def _findings(history: History) -> tuple[str, ...]:
 def _limits(history: History, reference: int) -> tuple[str, ...]:
     """Say what the charts rest on."""
     outliers = [
-        f"{one.sessions[one.chart.outlier]} differs from the rest of the reference ({one.quantity}): if it was not a "
-        "good session, the limits are too wide."
-        for one in history.watched
-        if one.chart.outlier is not None
+        f"{session} differs from the rest of the reference ({', '.join(quantities)}): if it was not a good session, "
+        "the limits are too wide."
+        for session, quantities in history.outliers.items()
     ]
     return (
         f"The limits give {100 * history.false_alarm_share_each:.2g} % false alarms for each chart and session, with "

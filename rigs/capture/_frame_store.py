@@ -24,7 +24,7 @@ from data_schemas.storage import write_frame
 from rigs import Clock, OpenRig, RawFrame
 from rigs.capture._exposure import CheckedCamera, CheckedFrame, saturated_fraction
 from rigs.capture._filter_proof import LEAST_SIGNAL_FRACTION
-from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs
+from rigs.capture._journal import DISK_WITHIN_S, Journal, disk_hangs, not_written
 from rigs.capture._plan import Step
 from rigs.capture._resume import PROVEN_EVENT, Interrupted, is_compared, set_aside
 from rigs.capture._session_folder import SessionWatch
@@ -335,10 +335,7 @@ class FrameStore:
         try:
             sha256 = write_frame(self._out / file, raw.counts, f"{step.label}, {raw.exposure_s:g} s")
         except OSError as error:
-            raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then run "
-                f"'finray capture --resume {self._out}'"
-            ) from None
+            raise not_written(self._out / file, error, self._out) from None
         frame = Frame(
             sequence=shot.sequence,
             file=file,

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import threading
 import time
 from collections import Counter
@@ -32,6 +33,7 @@ DISK_WITHIN_S: Final = 60.0
 """A disk that hangs (a network folder whose server is gone) must not keep a capture waiting with its lights on."""
 CLOSE_WITHIN_S: Final = 1.0
 FAULT_EVENT: Final = "fault"
+_SPECIAL_IN_DOUBLE_QUOTES: Final = re.compile(r"""["$`\\!]""")
 _LINKED: Final = re.compile(rb'(\{.*), "link": "([0-9a-f]{64})"\}', re.DOTALL)
 
 
@@ -195,7 +197,7 @@ class Journal:
         except NoAnswerError:
             raise disk_hangs(self._path, self._path.parent) from None
         except OSError as error:
-            resume = f"run 'finray capture --resume {self._path.parent}'"
+            resume = f"run '{resume_command(self._path.parent)}'"
             raise CaptureError(
                 f"{self._path}: cannot be written ({error.strerror}); free space or repair the disk, then "
                 f"{resume if self._nameless is None else 'begin the capture again (nothing was captured yet)'}"
@@ -287,7 +289,7 @@ class HealingTime:
             raise HealingTimeError(
                 f"{self._folder}: recovery from faults has delayed the session by {self.lost_s:.0f} s, but at most "
                 f"{self._most_s:.0f} s are allowed; repair the device that {JOURNAL_NAME} names most often, then run "
-                f"'finray capture --resume {self._folder}'"
+                f"'{resume_command(self._folder)}'"
             )
 
 
@@ -371,11 +373,27 @@ def _were(number: int, noun: str, which: str = "") -> str:
     return f"{number} {noun}{which} was" if number == 1 else f"{number} {noun}s{which} were"
 
 
+def resume_command(session: Path) -> str:
+    """Return the command that continues a session, for a sentence that has it in single quotes."""
+    name = os.fspath(session)
+    plain = shlex.quote(name)
+    in_double = plain != name and not _SPECIAL_IN_DOUBLE_QUOTES.search(name)
+    return "finray capture --resume " + (f'"{name}"' if in_double else plain)
+
+
+def not_written(path: Path, error: OSError, session: Path) -> CaptureError:
+    """Return the error of a frame that the disk refuses."""
+    return CaptureError(
+        f"{path}: cannot be written ({error.strerror}); free space or repair the disk, then run "
+        f"'{resume_command(session)}'"
+    )
+
+
 def disk_hangs(path: Path, session: Path) -> CaptureError:
     """Return the error of a file of a session that the disk does not take, and does not refuse either."""
     return CaptureError(
         f"{path}: the disk does not respond (nothing was written for {DISK_WITHIN_S:g} s or more); check the disk, or "
-        f"the server of the network folder, then run 'finray capture --resume {session}'"
+        f"the server of the network folder, then run '{resume_command(session)}'"
     )
 
 

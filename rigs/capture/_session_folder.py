@@ -47,7 +47,7 @@ from data_schemas.storage import (
     write_record,
 )
 from rigs import OpenRig, Operator, RawFrame, SystemClock
-from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines
+from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines, resume_command
 from rigs.capture._plan import Step
 
 SESSION_NAME = "session.json"
@@ -306,7 +306,7 @@ def _session_file(folder: Path) -> Path:
     if (folder / JOURNAL_NAME).is_file():
         raise RecordError(
             f"{folder}: the capture was not finished ({SESSION_NAME} is missing); the last line of {JOURNAL_NAME} "
-            f"says why. Continue with 'finray capture --resume {folder}'"
+            f"says why. Continue with '{resume_command(folder)}'"
         )
     raise RecordError(
         f"{folder}: contains no capture session ({SESSION_NAME} is missing); give the folder that 'finray capture' "

@@ -58,6 +58,7 @@ from rigs.capture._journal import (
     fault_notes,
     faults_noted,
     healing_s,
+    not_written,
     read_journal,
 )
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
@@ -646,10 +647,7 @@ class _Recorder:
         try:
             sha256 = write_frame(self._out / file, raw.counts, shot.label)
         except OSError as error:
-            raise CaptureError(
-                f"{self._out / file}: cannot be written ({error.strerror}); free space or repair the disk, then run "
-                f"'finray capture --resume {self._out}'"
-            ) from None
+            raise not_written(self._out / file, error, self._out) from None
         frame = TactileFrame(
             sequence=shot.sequence,
             file=file,

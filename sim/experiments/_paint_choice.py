@@ -162,18 +162,19 @@ class PairPaths:
         last = np.array([BAND_NAMES.index(chain.rsplit(">", 1)[-1]) for chain in self.chains])
         light = self.radiance_rel
         for k in range(len(_WALLS)):
-            light = light * _between(*self.ends[k, 0], moved[k, _LED])
-            light = light * _between(*self.ends[k, 1], np.where(last == _LED, 0.0, moved[k, last]))
+            light = light * _between(self.ends[k, 0], moved[k, _LED])
+            light = light * _between(self.ends[k, 1], np.where(last == _LED, 0.0, moved[k, last]))
         return light
 
 
-def _between(low: Floats, high: Floats, place: Floats) -> Floats:
-    """Return the parabola through low, 1 and high at -1, 0 and 1: light that meets a wall at most twice follows it.
+def _between(ends: Floats, place: Floats) -> Floats:
+    """Return the parabola through 1 at 0 and the ends at -1 and 1: light that meets a wall at most twice follows it.
 
     Light grows with reflectance, so that it never leaves the ends, as a parabola through a higher power may.
     """
+    low, high = ends
     parabola = 1.0 + place * (high - low) / 2.0 + place**2 * ((high + low) / 2.0 - 1.0)
-    return np.clip(parabola, np.minimum(np.minimum(low, high), 1.0), np.maximum(np.maximum(low, high), 1.0))
+    return np.clip(parabola, np.minimum(ends.min(axis=0), 1.0), np.maximum(ends.max(axis=0), 1.0))
 
 
 def paint_pairs(

@@ -151,6 +151,9 @@ def test_command_on_the_example(tmp_path, aiag, capsys):
     assert "27.86 %" in told
     assert "number of distinct categories: 4" in told
     assert told.splitlines()[-1].startswith("UNDECIDED")
+    path.write_text("\n".join(line.replace(",", ";").replace(".", ",") for line in lines_of(aiag)))
+    assert main(["check", "gauge-rr", str(path)]) == 0
+    assert capsys.readouterr().out == told
 
 
 def test_command_on_calibrations(tmp_path, capsys):

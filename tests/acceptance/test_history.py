@@ -150,6 +150,19 @@ def test_in_control_until_a_step():
     assert session_history(made(values), cleared="s15").verdict == "IN CONTROL"
 
 
+def test_a_session_of_the_reference_that_stands_out_is_told_once_with_what_shows_it():
+    values = noise(12)
+    values[4] += 30.0
+    facts = [
+        replace(one, rig={f"filter {k} (%)": one.rig["lamp level (%)"] for k in (450, 500)}) for one in made(values)
+    ]
+    found = session_history(facts)
+    assert found.outliers == {"s04": ["filter 450 (%)", "filter 500 (%)"]}
+    page = history_page(found, "lab", 10)
+    assert page.count("s04 differs from the rest of the reference") == 1
+    assert "(filter 450 (%), filter 500 (%))" in page
+
+
 def test_order_is_that_of_the_capture():
     values = noise(14)
     facts = made(values)
@@ -160,8 +173,10 @@ def test_few_sessions_decide_nothing_and_the_history_says_which_session_is_the_f
     found = session_history(made(noise(8)))
     assert found.verdict == "UNDECIDED"
     assert found.waiting == (
-        "rig: has 8 of the 10 sessions that its reference needs; session 11 is the first that is judged",
+        "rig: has 8 of the 10 sessions that its reference needs; session 11 is the first that is judged: capture 3 more, "
+        "or give a smaller reference (6 or more)",
     )
+    assert session_history(made(noise(5)), reference=6).waiting[0].endswith("judged: capture 2 more")
     full = session_history(made(noise(10)))
     assert full.verdict == "UNDECIDED"
     assert full.waiting == (

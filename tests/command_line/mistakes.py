@@ -241,8 +241,8 @@ CASES = (
     Case(
         "semicolons between columns",
         BAD_RIG,
-        r"camera\.csv: columns must be separated by commas, not semicolons or tabs; write decimals with a point",
-        curve("400;1,5;2;3\n700;1;2;3\n", header="wavelength_nm;red_percent;green_percent;blue_percent\n"),
+        r"camera\.csv, line 2: has 2 columns, but the header has 4; correct the row",
+        curve("400;1,5;2;3\n700;1;2;3\n"),
     ),
     Case("path with spaces", "capture a plan.toml", r"does not take plan\.toml; put a path with spaces in quotes; "),
     # curves
@@ -589,8 +589,8 @@ CASES = (
     Case(
         "semicolons in a study",
         "check gauge-rr {tmp}/study.csv",
-        r"error: \S*study\.csv: columns must be separated by commas, not semicolons or tabs",
-        file("study.csv", "sample;session;value\nA;1;2\n"),
+        r"error: \S*study\.csv, line 2: an entry is missing; give sample, session and value",
+        file("study.csv", "sample,session,value\nA;1;2\n"),
     ),
     Case(
         "folder without its description",

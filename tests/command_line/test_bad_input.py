@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -10,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import CaptureError
+from data_schemas import CaptureError, RecordError
 from data_schemas.storage import sha256_of
 from finray_calib.cli._run import interruptible
 from rigs import SystemClock
-from rigs.capture import JOURNAL_NAME
+from rigs.capture import JOURNAL_NAME, read_session
 from rigs.capture._journal import Journal
 from tests.command_line.mistakes import CASES, USAGE, Case, edited
 from tests.command_line.running import finray, tree
@@ -99,6 +100,22 @@ def test_folder_of_another_capture_is_not_offered_for_resuming(
     ):
         Journal(out, SystemClock(), resumed=True)
     assert "--resume" not in capsys.readouterr().err
+
+
+def test_a_shell_takes_the_command_that_continues_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "red paint"
+    out.mkdir()
+    (out / JOURNAL_NAME).write_text("{}\n")
+    with pytest.raises(KeyboardInterrupt), interruptible(out):
+        raise KeyboardInterrupt
+    command = capsys.readouterr().err.partition("continue with: ")[2]
+    assert shlex.split(command) == ["finray", "capture", "--resume", str(out)]
+    with pytest.raises(RecordError) as refused:
+        read_session(out)
+    assert shlex.split(str(refused.value).rpartition("Continue with '")[2].removesuffix("'"))[2:] == [
+        "--resume",
+        str(out),
+    ]
 
 
 def test_interrupted_capture_leaves_whole_files(lab: Path, tmp_path: Path) -> None:

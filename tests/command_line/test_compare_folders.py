@@ -16,12 +16,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import ComparisonBatch, FieldError, Interval, PhotometricErrorReport, provenance
+from data_schemas import (
+    ComparisonBatch,
+    ErrorAttribution,
+    ErrorCause,
+    FieldError,
+    Interval,
+    PhotometricErrorReport,
+    provenance,
+)
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
 from finray_calib.compare import OWN_NOISE
 from finray_calib.reports import batch_lines, batch_page
-from finray_calib.reports._batch_page import _tiles
+from finray_calib.reports._batch_page import _causes_sentence, _tiles
 from tests.command_line.records import capture_of, press
 from tests.command_line.running import finray, tree
 
@@ -91,6 +99,20 @@ def test_captures_made_from_their_renders_prove_nothing_on_the_page_of_all_press
         assert ("made from the render" in lines) is ("made from the render" in page) is (light == "care")
 
 
+def test_the_largest_part_of_the_lost_skill_is_named_where_it_is_no_cause() -> None:
+    depth = ErrorCause.model_construct(cause="depth", skill_lost=0.06)
+    found = ErrorAttribution.model_construct(
+        causes=(depth,), skill_lost=0.37, saturation_skill=0.0, noise_skill=0.03, remainder_skill=0.28
+    )
+    said = _causes_sentence({"depth": 0.06}, [found])
+    assert said.startswith("Most skill is lost by what none of the causes explains (remainder): 0.280 for each press")
+    assert said.endswith("Of the causes, depth costs most: 0.060.")
+    less = found.model_copy(update={"remainder_skill": 0.01})
+    assert _causes_sentence({"depth": 0.06}, [less]) == (
+        "Most skill is lost by depth: 0.060 for each press, averaged over these presses."
+    )
+
+
 def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     """The render against one at half contrast, each with reports of its own; the same folder twice is refused."""
     half = press()
@@ -104,6 +126,9 @@ def test_simulators_are_ranked_on_one_page(folders: Path) -> None:
     batch = read_record(folders / "out/summary.json", ComparisonBatch)
     assert [score.simulator for score in batch.simulators] == ["simulated", "weak"]
     assert batch.simulators[1].skill.estimate == pytest.approx(0.75, abs=0.05)  # (1 - 1/2)^2 of the change is left
+    best = sorted((p.skill.estimate, p.name) for p in batch.pairs if p.simulator == "simulated" and p.skill)
+    assert batch.worst == tuple(name for _, name in best)  # not those of the weak one
+    assert f"lowest of simulated: {', '.join(batch.worst)}" in outcome.out
     (difference,) = batch.differences
     assert (difference.first, difference.second, difference.better_in) == ("simulated", "weak", 3)
     assert difference.low95 is not None

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from data_schemas import package_version
+from data_schemas import package_version, provenance
+from data_schemas.storage import write_record
 from finray_calib.cli import _output as output
 from finray_calib.cli.main import build_parser, commands, completion_script
+from tests.command_line.records import capture_of, press
 from tests.command_line.running import documented, finray, succeed
 
 KEYS = {
@@ -127,6 +129,14 @@ def test_the_last_line_says_where_to_look(lab, tmp_path):
     said = succeed(QUICK["compare"].format(lab=lab, tmp=tmp_path)).splitlines()
     assert said[-2:] == [f"next: finray decide SWEEP --photometric-error {tmp_path}/e.json",
                          f"look at: {tmp_path}/e.html"]  # fmt: skip
+
+
+def test_a_report_that_a_decision_refuses_names_no_decision_as_next(tmp_path):
+    """As of a render of another simulator, of which neither paints nor camera are known."""
+    unknown = press()
+    write_record(unknown, tmp_path / "p.json", provenance("pytest"))
+    write_record(capture_of(unknown, 30.0), tmp_path / "c.json", provenance("pytest"))
+    assert "next:" not in succeed(f"compare {tmp_path}/p.json {tmp_path}/c.json --out {tmp_path}/e.json")
 
 
 def on_terminal(arguments: str, **environment: str) -> str:

@@ -582,6 +582,21 @@ def test_the_force_in_the_name_of_a_video_is_taken(tmp_path):
     assert capture.force_n == 2.5
 
 
+def test_a_log_gives_each_video_one_force(tmp_path):
+    for name in ("a", "b"):
+        write_video(tmp_path / f"{name}.avi", grasp())
+    (tmp_path / "log.csv").write_text("Versuch;Kraft [N]\r\na;2,5\r\nb;0,75\r\n")
+    text = """
+        presses = { files = "{press}.avi" }
+        no_contact = { frames_before = 10 }
+        force = { file = "log.csv", press = "Versuch", column = "Kraft [N]" }
+    """
+    found = read_by_recipe(tmp_path, told(text)).captures
+    assert {name: capture.force_n for name, capture in found.items()} == {"a": 2.5, "b": 0.75}
+    with pytest.raises(ImportFormatError, match=r"log\.csv: has 2 forces for 30 frames, .* name presses by press ="):
+        read_by_recipe(tmp_path, told(text.replace('press = "Versuch", ', "")))
+
+
 def test_a_table_that_counts_from_1_is_not_that_of_an_array_which_counts_from_0(tmp_path):
     np.savez(tmp_path / "set.npz", images=np.stack([eight_bits(image) for image in PRESSES]))
     put(tmp_path / "rest.png", eight_bits(UNTOUCHED))

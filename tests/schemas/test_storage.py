@@ -160,6 +160,13 @@ def test_file_system_without_hard_links(tmp_path, monkeypatch, number):
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a", b"first")]
 
 
+@pytest.mark.parametrize(("keys", "told"), [(4, "and 1 more fault"), (5, "and 2 more faults")])
+def test_faults_beyond_the_first_five_are_counted(tmp_path, keys, told):
+    (tmp_path / "rig.toml").write_text("".join(f"key{k} = 1\n" for k in range(keys)))  # name and wheel are missing
+    with pytest.raises(RecordError, match=f"{told}$"):
+        read_toml(tmp_path / "rig.toml", RigFile)
+
+
 def test_other_faults_of_linking_are_reported_and_leave_nothing(tmp_path, monkeypatch):
     def broken(source: str, target: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
