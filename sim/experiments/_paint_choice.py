@@ -174,7 +174,7 @@ def _between(ends: Floats, place: Floats) -> Floats:
     """
     low, high = ends
     parabola = 1.0 + place * (high - low) / 2.0 + place**2 * ((high + low) / 2.0 - 1.0)
-    return np.clip(parabola, np.minimum(ends.min(axis=0), 1.0), np.maximum(ends.max(axis=0), 1.0))
+    return np.asarray(np.clip(parabola, np.minimum(ends.min(axis=0), 1.0), np.maximum(ends.max(axis=0), 1.0)))
 
 
 def paint_pairs(

@@ -173,8 +173,8 @@ def test_few_sessions_decide_nothing_and_the_history_says_which_session_is_the_f
     found = session_history(made(noise(8)))
     assert found.verdict == "UNDECIDED"
     assert found.waiting == (
-        "rig: has 8 of the 10 sessions that its reference needs; session 11 is the first that is judged: capture 3 more, "
-        "or give a smaller reference (6 or more)",
+        "rig: has 8 of the 10 sessions that its reference needs; session 11 is the first that is judged: capture 3 "
+        "more, or give a smaller reference (6 or more)",
     )
     assert session_history(made(noise(5)), reference=6).waiting[0].endswith("judged: capture 2 more")
     full = session_history(made(noise(10)))
