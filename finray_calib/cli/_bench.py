@@ -94,6 +94,12 @@ def run_bench_tactile(arguments: argparse.Namespace) -> None:
             f"--simulator {arguments.simulator!r} is already the name of one of finray's own rows; give your "
             "simulator another name"
         )
+    if arguments.simulator_command is not None:
+        _words(arguments.simulator_command)
+    if not arguments.limit_s > 0:
+        raise CompareError(
+            f"--limit-s {arguments.limit_s:g}: must be above 0 s; give the time that the command may take"
+        )
     folder, captures = _captures(arguments.captures)
     name = arguments.captures.resolve().name.removesuffix(".zip")
     taught, judged = _split(captures, arguments.teach)
@@ -262,12 +268,28 @@ def _write_requests(
                     products.add(protocol / part / name / file, content)
 
 
+def _words(command: str) -> list[str]:
+    """Return the program of a command and its arguments."""
+    from data_schemas import CompareError
+
+    try:
+        words, fault = shlex.split(command), "no program"
+    except ValueError as error:
+        words, fault = [], str(error)
+    if not words:
+        raise CompareError(
+            f"--command: {command!r} cannot be split into words ({fault}); give a program and its arguments, and close "
+            "every quotation mark"
+        )
+    return words
+
+
 def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path) -> float:
     """Run the user's command without a shell, and return its wall time, s."""
     from data_schemas import CompareError
 
     places = {"{teach}": protocol / "teach", "{judge}": protocol / "judge", "{renders}": renders}
-    words = shlex.split(arguments.simulator_command)
+    words = _words(arguments.simulator_command)
     for mark, place in places.items():
         words = [word.replace(mark, str(place.resolve())) for word in words]
     renders.mkdir(parents=True)
@@ -279,9 +301,7 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
             f"--command: ran longer than {arguments.limit_s:g} s; raise --limit-s, or give fewer presses"
         ) from None
     except (OSError, ValueError) as error:
-        raise CompareError(
-            f"--command: {words[0] if words else 'nothing'} cannot be run ({error}); correct the program's name"
-        ) from None
+        raise CompareError(f"--command: {words[0]} cannot be run ({error}); correct the program's name") from None
     if done.returncode:
         raise CompareError(f"--command: failed with exit status {done.returncode}; see its output above for the reason")
     return time.monotonic() - start

@@ -43,13 +43,13 @@ def darkened_circle(no_contact_rgb: NDArray[np.uint8], sample_rgb: NDArray[np.ui
 
     Returns
     -------
-    ContactCircle
+    DarkenedCircle
         Rounded down to whole pixels, as the maker's calibration does.
 
     Raises
     ------
     ImportFormatError
-        If no pixel got darker by more than 3 DN.
+        If no pixel got darker by more than 3 DN, or the circle has a radius below 1 px.
     """
     darkening = np.maximum(no_contact_rgb.astype(np.int16) - sample_rgb, 0).mean(axis=2)
     contours, _ = cv2.findContours(
@@ -61,6 +61,12 @@ def darkened_circle(no_contact_rgb: NDArray[np.uint8], sample_rgb: NDArray[np.ui
             "there is no contact. Check that the two images are not exchanged."
         )
     (column, row), radius = cv2.minEnclosingCircle(max(contours, key=cv2.contourArea))
+    if radius < 1.0:
+        raise ImportFormatError(
+            "The largest region of the sample that is darker than the no-contact image by more than "
+            f"{_CONTACT_LEVELS_DN} DN has a radius below 1 px, so it is noise, and there is no contact. Check that the "
+            "sample shows the ball pressed on, and that the two images are not exchanged."
+        )
     return DarkenedCircle((int(row), int(column)), int(radius))
 
 
@@ -81,7 +87,7 @@ def predict_press(
     Parameters
     ----------
     no_contact_rgb : ndarray of uint8, shape (H, W, 3)
-    circle : ContactCircle
+    circle : DarkenedCircle
     mm_per_px, ball_radius_mm : float
     table_mm : ndarray, shape (levels,)
         Depth at each grey level. Entries 0 and 1 are replaced by zero depth at level 0: the maker's entry 0 is
@@ -132,7 +138,7 @@ class NineDTactSensor:
     ball_radius_mm : float
     depth_table_mm : ndarray, shape (levels,)
         Depth at each whole grey level of darkening, as stored; entry 0 is meaningless.
-    circle : ContactCircle
+    circle : DarkenedCircle
         Around the contact in `sample_rgb`.
     """
 

@@ -98,6 +98,15 @@ def test_the_table_alone_needs_no_command(captures: Path) -> None:
         ("set --teach 7", "--teach 7: must be 1 to 4 for 5 presses; the simulator is judged on the presses"),
         ("set --teach 2 --simulator mine", "--simulator NAME and --command WORDS must be given together; give both"),
         ("nowhere", "nowhere: no such folder; give the folder"),
+        ("set --teach 2 --simulator mine --command ''", "--command: '' cannot be split into words (no program)"),
+        (
+            """set --teach 2 --simulator mine --command "python 'x" """,
+            '--command: "python \'x" cannot be split into words (No closing quotation)',
+        ),
+        (
+            "set --teach 2 --simulator mine --limit-s nan --command true",
+            "--limit-s nan: must be above 0 s",
+        ),
         (
             "set --teach 2 --simulator mine --command 'no-such-program {judge}'",
             "--command: no-such-program cannot be run",

@@ -35,6 +35,15 @@ def test_the_circle_encloses_the_dark_disc_and_ignores_the_bright_halo():
         darkened_circle(synthetic_press(), synthetic_press())
 
 
+@pytest.mark.parametrize("width_px", [1, 2])
+def test_a_few_dark_pixels_are_no_contact(width_px):
+    # a circle of radius 0 would divide all distances by 0
+    sample = NO_CONTACT.copy()
+    sample[30, 45 : 45 + width_px] = 140
+    with pytest.raises(ImportFormatError, match=r"has a radius below 1 px, .* there is no contact"):
+        darkened_circle(NO_CONTACT, sample)
+
+
 def test_the_prediction_darkens_by_the_level_of_the_cap_depth():
     # A table of 0.02 mm per grey level turns depth d into level 50 d, exactly, once entries 0 and 1 are replaced.
     table = 0.02 * np.arange(120.0)
