@@ -5,6 +5,7 @@ one kind that INDI servers send: a primary image of 16-bit whole numbers.
 Source: FITS standard 4.0, sections 3 and 4: cards of 80 characters in blocks of 2880 bytes, then big-endian data.
 """
 
+import math
 import re
 import time
 from collections.abc import Iterator, Mapping
@@ -431,9 +432,9 @@ class IndiFrames:
 
 
 def _number(header: Mapping[str, CardValue], key: str, name: str) -> float:
-    """Return a number of the header."""
+    """Return a finite number of the header."""
     value = header.get(key)
-    if not isinstance(value, float):
+    if not isinstance(value, float) or not math.isfinite(value):
         raise RefusedError(
             f"{name}: {key} is missing from the frame's header, or is not a number; choose another "
             "INDI driver for the camera"

@@ -53,7 +53,10 @@ def indi_address(address: str, role: str) -> IndiAddress:
     """
     server, _, device = address.partition("/")
     host, colon, port = server.rpartition(":")
-    host, port = (host, port) if colon else (server, str(DEFAULT_PORT))
+    if not colon or server.endswith("]"):  # the colons in brackets are those of an IPv6 address
+        host, port = server, str(DEFAULT_PORT)
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
     if not (
         host and device.strip() and port.isascii() and port.isdecimal() and len(port) < 6 and 0 < int(port) < 2**16
     ):

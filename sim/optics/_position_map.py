@@ -288,8 +288,9 @@ def _turn(surface: Surface, name: str) -> float:
     a, b, c = (surface.uv[surface.triangles[:, k]] for k in range(3))
     turns = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     if (turns != turns[0]).any() or turns[0] == 0.0:
+        others = min(int((turns * sense <= 0.0).sum()) for sense in (1.0, -1.0))
         raise ImpossibleFingerError(
-            f"the texture coordinates of the {name} fold, because {int((turns <= 0.0).sum())} of {len(turns)} "
+            f"the texture coordinates of the {name} fold, because {others} of {len(turns)} "
             "triangles turn the other way; every triangle must turn the same way in (u, v)"
         )
     return float(turns[0])

@@ -98,6 +98,10 @@ def test_folded_texture_coordinates_and_crumpled_faces_are_refused():
     folded = grid_surface(points, np.abs(u - 0.5), u)
     with pytest.raises(SimulateError, match="texture coordinates of the inner face fold, because 64 of 128 triangles"):
         PositionMap.of(folded, "inner face")
+    turned = folded.triangles[:33]  # 32 of one sense, the last of the other
+    for triangles in (turned, turned[:, ::-1]):
+        with pytest.raises(SimulateError, match="fold, because 1 of 33 triangles turn the other way"):
+            PositionMap.of(Surface(folded.vertices_mm, triangles, folded.uv), "inner face")
     crumpled = points + np.random.default_rng(0).normal(0.0, 3.0, points.shape) * [0.0, 1.0, 0.0]
     fine = grid_surface(np.repeat(np.repeat(crumpled, 8, 0), 8, 1), np.linspace(0, 1, 72), np.linspace(0, 1, 72))
     with pytest.raises(

@@ -1,5 +1,6 @@
 """The INDI camera against INDI's simulator: recorded, with altered frames, and the program itself with its faults."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -100,6 +101,10 @@ def test_headers_that_contradict_what_was_asked_are_refused() -> None:
         delivered().check(COUNTS, GAIN=4.0)
     with pytest.raises(RefusedError, match="EXPTIME is missing from the frame's header"):
         delivered().check(COUNTS, EXPTIME="")
+    # a comparison with NaN is never true, so it would pass for the exposure and the gain that were asked for
+    for card in ("EXPTIME", "GAIN"):
+        with pytest.raises(RefusedError, match=f"{card} is missing from the frame's header, or is not a number"):
+            delivered().check(COUNTS, **{card: math.nan})
     other: list[dict[str, CardValue]] = [{"BAYERPAT": "GRBG"}, {"XBAYROFF": 1.0}, {"ROWORDER": "BOTTOM-UP"}]
     for cards in other:
         with pytest.raises(RefusedError, match="RGGB from the top left is needed"):

@@ -164,6 +164,8 @@ def test_frames_are_unpacked_and_measured() -> None:
         ("localhost:7625/CCD Simulator", ("localhost", 7625, "CCD Simulator")),
         ("pi/ZWO EFW", ("pi", 7624, "ZWO EFW")),
         ("10.0.0.2:1/A/B", ("10.0.0.2", 1, "A/B")),
+        ("[::1]:7625/A", ("::1", 7625, "A")),
+        ("[::1]/A", ("::1", 7624, "A")),
     ],
 )
 def test_addresses(address: str, where: tuple[str, int, str]) -> None:
