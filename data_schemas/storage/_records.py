@@ -283,6 +283,12 @@ _KEYS_OF_KINDS: Final = {
 """Keys at the top of a TOML file that one kind of file alone has, and what that kind is called."""
 
 
+def toml_text(text: str) -> str:
+    """Return a text as TOML writes it, a basic string in quotation marks."""
+    # TOML escapes as JSON does, and also the DEL character, which JSON leaves as it is
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:
     """Read a plan, rig or design file that a person wrote (TOML).
 

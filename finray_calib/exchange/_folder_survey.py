@@ -4,7 +4,6 @@ Names of columns, arrays and keys propose what they may hold; a proposal is a co
 mean something else. A unit is proposed only where the name states it.
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError, MissingExtraError
-from data_schemas.storage import files_below, folder_at, read_json
+from data_schemas.storage import files_below, folder_at, read_json, toml_text
 from finray_calib.exchange._capture_recipe import PLACEHOLDER
 from finray_calib.exchange._set_files import (
     ARRAY_IN,
@@ -190,12 +189,12 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     if presses.suffix in VIDEOS:
         rest = "frames_before = 10"
     elif around := _around(presses, words, pictures):
-        rest = "\n".join(f"{field} = {_toml(file)}" for field, file in around.items())
+        rest = "\n".join(f"{field} = {toml_text(file)}" for field, file in around.items())
     elif untouched:
-        rest = f"file = {_toml(_rest_file(untouched, presses, files))}"
+        rest = f"file = {toml_text(_rest_file(untouched, presses, files))}"
     contact, indenter = _proposals(presses, words, kinds)
     return _RECIPE_START.format(
-        files=_toml(files),
+        files=toml_text(files),
         chosen=chosen,
         no_contact=rest,
         contact="".join(f"\n# {_printable(line)}" for line in contact),
@@ -253,8 +252,8 @@ def _chosen(files: str, names: Sequence[str], pictures: Sequence[_Kind]) -> str:
         return ""
     for only in ("?" * len(presses[0]), "*[0-9]"):
         if all(fnmatchcase(name, only) for name in presses) and not any(fnmatchcase(name, only) for name in others):
-            return f"\nonly = {_toml(only)}"
-    return f"\nleave_out = [{', '.join(map(_toml, others))}]" if len(others) <= _KEYS_SHOWN else ""
+            return f"\nonly = {toml_text(only)}"
+    return f"\nleave_out = [{', '.join(map(toml_text, others))}]" if len(others) <= _KEYS_SHOWN else ""
 
 
 #: What a column, array or key may hold, by what its name ends in, without its unit and index.
@@ -306,22 +305,26 @@ def _proposals(presses: _Kind, words: Mapping[int, str], kinds: Sequence[_Kind])
         if kind is presses or not set(PLACEHOLDER.findall(file)) <= known:
             continue
         if kind.picture and _MAP.search(file) and PLACEHOLDER.search(file):
-            contact += [_INSTEAD, "[contact.depth_map]", f"file = {_toml(file)}"]
+            contact += [_INSTEAD, "[contact.depth_map]", f"file = {toml_text(file)}"]
             contact.append('value_mm = "FILL IN"      # mm in 1 of its values; below 0 where they fall under pressure')
-        at = [f"file = {_toml(file)}"]
+        at = [f"file = {toml_text(file)}"]
         if kind.is_table and presses.suffix not in VIDEOS:
-            at.append(f"press = {_toml(_press_column(kind, presses) or 'FILL IN: the column that names the press')}")
+            at.append(
+                f"press = {toml_text(_press_column(kind, presses) or 'FILL IN: the column that names the press')}"
+            )
         roles = {_entry(name, shape, kind): _role(name, shape) for name, shape in kind.columns.items()}
         circle = [next((name for name, (role, _) in roles.items() if role == part), "") for part in _CIRCLE]
         if all(circle):
-            told = ", ".join(f"{part} = {_toml(name)}" for part, name in zip(_CIRCLE, circle, strict=True))
+            told = ", ".join(f"{part} = {toml_text(name)}" for part, name in zip(_CIRCLE, circle, strict=True))
             unsure = [name for name in circle if not roles[name][1].startswith("p")]
             contact += [_INSTEAD, *at, f"circle = {{ {told} }}"]
             contact += [f"# CHECK that {', '.join(unsure)} are in pixels: their names do not say"] if unsure else []
         _propose_numbers(indenter, roles, at)
         time = next((name for name in kind.columns if _TIME.fullmatch(name)), None)
         if presses.suffix in VIDEOS and kind.is_table and time is not None and "[force]" in indenter:
-            indenter.append(f'frames = {{ time = {_toml(time)}, unit = "s" }}  # CHECK the unit: or "ms", "us", "ns"')
+            indenter.append(
+                f'frames = {{ time = {toml_text(time)}, unit = "s" }}  # CHECK the unit: or "ms", "us", "ns"'
+            )
     if not any(line.startswith("diameter_mm") for line in indenter):
         indenter.insert(0, "diameter_mm = 4.0")
     return contact, indenter
@@ -333,15 +336,15 @@ def _propose_numbers(lines: list[str], roles: Mapping[str, tuple[str, str]], at:
     if sizes and not any(line.startswith("depth_mm") for line in lines):
         units = ", ".join(f'{role} = "{roles[name][1] or "FILL IN"}"' for role, name in sizes.items())
         unsure = [name for name in sizes.values() if not roles[name][1]]
-        lines += [*at, *(f"{role} = {_toml(name)}" for role, name in sizes.items())]
+        lines += [*at, *(f"{role} = {toml_text(name)}" for role, name in sizes.items())]
         lines.append(f"columns_in = {{ {units} }}")
         lines += [f'# FILL IN "mm", "cm", "m" or "um", which {", ".join(unsure)} does not say'] if unsure else []
     force = next((name for name, (role, _) in roles.items() if role == "force"), None)
     if force is not None and "[force]" not in lines:
         unit = roles[force][1]
-        lines += ["[force]", *at, f"column = {_toml(force)}"]
+        lines += ["[force]", *at, f"column = {toml_text(force)}"]
         lines.append(
-            f"unit = {_toml(unit)}"
+            f"unit = {toml_text(unit)}"
             if unit
             else 'unit = "FILL IN"          # "N", "mN", "g" or "kg": the name does not say'
         )
@@ -365,11 +368,6 @@ def _press_column(kind: _Kind, presses: _Kind) -> str:
         if cells and 2 * named >= len(cells):
             return column
     return ""
-
-
-def _toml(text: str) -> str:
-    """Return a text as TOML writes it."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _printable(text: str) -> str:
