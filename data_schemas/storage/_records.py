@@ -274,6 +274,8 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
 
 
 _KEYS_OF_KINDS: Final = {
+    "camera_name": "the plan of a camera session",
+    "check_name": "the plan of a check",
     "filter_wheel": "a rig file",
     "load_cell": "a rig file",
     "pad": "the design of a finger or sensor",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError, MissingExtraError
-from data_schemas.storage import files_below, folder_at, read_json, toml_text
+from data_schemas.storage import files_below, folder_at, read_json, read_text, toml_text
 from finray_calib.exchange._capture_recipe import PLACEHOLDER
 from finray_calib.exchange._set_files import (
     ARRAY_IN,
@@ -44,7 +44,7 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", "
 _NO_CONTACT: Final = re.compile(
     r"(^|[^a-z])(bg|background|baseline|blank|ref|rest|flat|empty|no_?contact|no_?touch|untouched|init)", re.I
 )
-_BEFORE: Final = re.compile(r"(^|[^a-z])(pre|before)(?![a-z])", re.I)
+_BEFORE: Final = re.compile(r"(^|[^a-z])(pre|before|free)(?![a-z])", re.I)
 _AFTER: Final = re.compile(r"(^|[^a-z])(post|after)(?![a-z])", re.I)
 _MAP: Final = re.compile("depth|height", re.I)
 _TIME: Final = re.compile(r"(t|.*time.*|.*stamp.*|.*_m?s)", re.I)
@@ -52,6 +52,7 @@ _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _GROUPS_SHOWN, _KEYS_SHOWN, _NAMED = 12, 16, 4
 _WITH_PICTURES: Final = (*_PICTURES, *VIDEOS, ".npz")
 _RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
+_NUMBER: Final = re.compile(r"[-+]?\.?\d|[-+]?(nan|inf)\b", re.I)
 _MOST_SURVEYED = 20_000
 _RECIPE_START: Final = """\
 name = "mine"
@@ -171,9 +172,9 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     files, chosen = _pattern(touched[0].names) if touched else "{press}.png", ""
     stacks = [(kind, array) for kind in kinds for array, shape in kind.columns.items() if _is_stack(array, shape)]
     words = _words(touched[0].names) if touched else {}
-    if len(touched) > 1 and len(touched[0].names) == 1:  # names without numbers
-        first = PurePosixPath(touched[0].names[0])
-        files = (first.parent / f"{{press}}{first.suffix}").as_posix()
+    named = touched[0] if touched else _Kind([files])
+    if len(touched) > 1 and len(touched[0].names) == 1:
+        files, named = _without_numbers(touched)
     elif stacks and (not touched or len(touched[0].names) == 1):
         (holder, array), words = stacks[0], {}
         files = f"{holder.names[0]}{ARRAY_IN}{array}[{{press}}]"
@@ -191,7 +192,7 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     elif around := _around(presses, words, pictures):
         rest = "\n".join(f"{field} = {toml_text(file)}" for field, file in around.items())
     elif untouched:
-        rest = f"file = {toml_text(_rest_file(untouched, presses, files))}"
+        rest = f"file = {toml_text(_rest_file(untouched, named, files))}"
     contact, indenter = _proposals(presses, words, kinds)
     return _RECIPE_START.format(
         files=toml_text(files),
@@ -201,6 +202,16 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
         indenter="\n".join(f"# {_printable(line)}" for line in indenter),
         rest="\n".join(f"# {line}" for line in lines),
     )
+
+
+def _without_numbers(touched: Sequence[_Kind]) -> tuple[str, _Kind]:
+    """Return pattern and files of presses without numbers: one name in a folder for each, or names in one folder."""
+    paths = [PurePosixPath(kind.names[0]) for kind in touched]
+    first = paths[0]
+    alike = [path for path in paths if path.name == first.name and path.parent.parent == first.parent.parent]
+    if len(alike) > 1:
+        return str(first.parent.parent / "{press}" / first.name), _Kind([str(path) for path in alike])
+    return str(first.parent / f"{{press}}{first.suffix}"), touched[0]
 
 
 def _touched(pictures: Sequence[_Kind]) -> Sequence[_Kind]:
@@ -443,13 +454,7 @@ def _content(kind: _Kind, path: Path) -> str:
         kind.columns = dict.fromkeys(keys, ())
         return f"object of {len(whole)} keys: {', '.join(keys[:_KEYS_SHOWN])}"
     if suffix in (".csv", ".tsv", *TABLES, ".json"):
-        columns, rows = table_rows(path)
-        if suffix in TEXTS_OF_NUMBERS and all(map(_RUN_OF_DIGITS.fullmatch, columns)):
-            return f"numbers without names: {len(rows) + 1} x {len(columns)}"
-        kind.columns, kind.is_table = dict.fromkeys(columns, ()), True
-        kind.cells = {column: [row.get(column, "") for row in rows] for column in columns}
-        more = ", ..." if len(columns) > _KEYS_SHOWN else ""
-        return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"
+        return _table(kind, path)
     if suffix in (".npz", ".npy"):
         arrays, pickled = ArrayFiles().of(path)
         kind.columns = {name: array.shape for name, array in arrays.items()}
@@ -457,6 +462,8 @@ def _content(kind: _Kind, path: Path) -> str:
         shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
         return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
     if suffix in TEXTS_OF_NUMBERS:
+        if not _is_of_numbers(path):
+            return _table(kind, path)
         lines, places = ArrayFiles().of(path)[0][""].shape
         return f"numbers without names: {lines} x {places}"
     if suffix in VIDEOS:
@@ -470,3 +477,21 @@ def _content(kind: _Kind, path: Path) -> str:
         colours = "grey" if picture.shape[2] == 1 else "colour"
         return f"picture of {picture.shape[1]} x {picture.shape[0]} px, {picture.dtype}, {colours}"
     return "not read"
+
+
+def _is_of_numbers(path: Path) -> bool:
+    """Return whether the first line of a text that says something begins with a number."""
+    lines = (line.strip() for line in read_text(path, "a text", ImportFormatError).splitlines())
+    first = next((line for line in lines if line), "#")
+    return first.startswith("#") or _NUMBER.match(first) is not None
+
+
+def _table(kind: _Kind, path: Path) -> str:
+    """Return what a table holds, in words."""
+    columns, rows = table_rows(path)
+    if kind.suffix in TEXTS_OF_NUMBERS and all(map(_RUN_OF_DIGITS.fullmatch, columns)):
+        return f"numbers without names: {len(rows) + 1} x {len(columns)}"
+    kind.columns, kind.is_table = dict.fromkeys(columns, ()), True
+    kind.cells = {column: [row.get(column, "") for row in rows] for column in columns}
+    more = ", ..." if len(columns) > _KEYS_SHOWN else ""
+    return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_schemas import FingerDesign, Indenter, NoEquilibriumError, SimulateError
+from data_schemas import Indenter, NoEquilibriumError, SimulateError
 from sim import preset_design
 from sim.experiments import study_finger_stiffness
 from sim.experiments._design_sensitivities import _held_torques, _row
@@ -133,7 +133,7 @@ def test_torque_at_slip_of_known_patches():
 )
 def test_the_torque_without_friction_is_that_of_the_indenters_shape(indenter, arm_mm):
     """Two forces of 2 N whose resultant acts 1 mm beside the middle of a pad of 18 mm."""
-    design = FingerDesign(indenter=indenter)
+    design = SMALL.model_copy(update={"indenter": indenter})
     assert design.pad.width_mm == 18.0
     places = np.array([[0.5, 6.0, 30.0], [1.5, 6.0, 34.0]])
     assert tipping_torque_n_mm(design, places, np.array([2.0, 2.0])) == pytest.approx(4.0 * arm_mm, abs=1e-12)
