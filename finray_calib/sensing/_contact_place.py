@@ -328,7 +328,7 @@ def _answer_of_noise(shape: tuple[int, int], smallest_px: float, largest_px: flo
     rng, strongest = np.random.default_rng(0), 0.0
     for _ in range(_NOISE_PICTURES):
         noise = rng.standard_normal((*shape, 3))
-        signal = _less_plane(cv2.GaussianBlur(noise, (0, 0), _SMOOTHED_PX))
+        signal = _less_plane(np.asarray(cv2.GaussianBlur(noise, (0, 0), _SMOOTHED_PX), dtype=np.float64))
         found = max(place.response_rel for place in _answers(signal, smallest_px, largest_px))
         strongest = max(strongest, found / _noise_variance(_in_blocks(noise, _COARSE_PX)))
     return strongest

@@ -24,7 +24,7 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple
 
 from data_schemas import CaptureError
-from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
+from data_schemas.storage import LARGEST_TEXT_BYTES, open_regular, parse_json, read_bytes
 from rigs import CallThread, Clock, NoAnswerError
 from rigs.transports import Fault, fault_listener
 
@@ -94,7 +94,7 @@ def require_no_writer(folder: Path) -> None:
     path = folder / JOURNAL_NAME
     if not path.is_file():
         return
-    with path.open("rb") as file:
+    with open_regular(path, "the journal of a session", CaptureError) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -418,9 +418,10 @@ def _welded(vertices: FloatArray, triangles: IntArray) -> TriangleMesh:
         # rounding parts corners that lie on both sides of a boundary, however close they are
         pairs = cKDTree(kept).query_pairs(apart_mm, output_type="ndarray")
         joined = coo_array((np.ones(len(pairs), dtype=np.bool_), pairs.T), shape=(len(kept), len(kept)))
-        _, body = connected_components(joined, directed=False)
-        _, lead, body = np.unique(body, return_index=True, return_inverse=True)
-        kept, number = kept[lead], body[number]
+        _, lead, body = np.unique(
+            connected_components(joined, directed=False)[1], return_index=True, return_inverse=True
+        )
+        kept, number = kept[lead], body.reshape(-1)[number]
     merged = number[triangles]
     a, b, c = merged.T
     return TriangleMesh(kept, merged[(a != b) & (b != c) & (c != a)])
