@@ -4,7 +4,6 @@ Ready-made are the paper's eight filters over a simulated bench with plans for t
 what was found in the place of what is assumed. What is written is read again by ``read_toml``.
 """
 
-import json
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,7 +26,7 @@ from data_schemas import (
     SimulatedBench,
     TactileRig,
 )
-from data_schemas.storage import write_bytes
+from data_schemas.storage import toml_text, write_bytes
 from rigs._drivers import FoundDevice, Kind, offered
 from rigs.light_guard import TEST_VALID_DAYS
 
@@ -157,7 +156,7 @@ def write_tactile_rig(rig: TactileRig, path: Path) -> Path:
     ]
     kinds: dict[str, Kind] = {"camera": "camera", "stage": "stage", "load_cell": "load cell"}
     text = f"""# A rig that presses a finger. Every value has its unit in its name; positions are machine coordinates.
-name = {_quoted(rig.name)}
+name = {toml_text(rig.name)}
 schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
 """
     for name, part, comments in parts:
@@ -320,7 +319,7 @@ def rig_toml(rig: RigFile) -> str:
     of_lamps = f"{_driver_names('light')}; manual: the operator switches it"
     filters = [_filter_toml(first, _FILTER), *(_filter_toml(band, {}) for band in others)]
     return f"""# A calibration rig. Every value has its unit in its name: _nm, _s, _mw, _dn (counts), _e (electrons).
-name = {_quoted(rig.name)}
+name = {toml_text(rig.name)}
 schema_version = {rig.schema_version}  # of rig files, so that later versions of finray can read this one
 
 [camera]
@@ -360,7 +359,7 @@ def _field(name: str, value: object) -> str:
     """Return one line; what is left out stands in a comment."""
     if value is None or (name == "address" and value == ""):
         return f"# {name} = ..."
-    return f"{name} = {_quoted(value) if isinstance(value, str) else repr(value)}"
+    return f"{name} = {toml_text(value) if isinstance(value, str) else repr(value)}"
 
 
 def _commented(name: str, line: str, comment: str, width: int) -> str:
@@ -368,11 +367,6 @@ def _commented(name: str, line: str, comment: str, width: int) -> str:
     if comment and name in _ABOVE:
         return "".join(f"# {part}\n" for part in comment.split("\n")) + f"{line}\n"
     return f"{line:{width}}  # {comment}\n" if comment else f"{line}\n"
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML basic string."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _filter_toml(band: BandPassFilter, comments: Mapping[str, str]) -> str:
@@ -403,16 +397,16 @@ def _bench_toml(bench: SimulatedBench) -> str:
 seed = {bench.seed}
 {_fault_toml(bench)}"""
     if bench.material is not None:
-        return f"{head}material = {_quoted(bench.material)}\n"
+        return f"{head}material = {toml_text(bench.material)}\n"
     fields = {} if bench.paint is None else bench.paint.model_dump()
-    lines = "".join(f"{k} = {_quoted(v) if isinstance(v, str) else repr(v)}\n" for k, v in fields.items())
+    lines = "".join(f"{k} = {toml_text(v) if isinstance(v, str) else repr(v)}\n" for k, v in fields.items())
     return f"{head}\n[simulated.paint]\n{lines}"
 
 
 def _fault_toml(bench: SimulatedBench) -> str:
     """Return the line of a fault to practise on; a comment where there is none."""
     if bench.practice_fault is not None:
-        return f"practice_fault = {_quoted(bench.practice_fault)}\n"
+        return f"practice_fault = {toml_text(bench.practice_fault)}\n"
     named = ", ".join((*PRACTICE_FAULTS, EXCHANGED_FILTERS))
     comment = textwrap.fill(f"a fault to practise on: {named}", 118, initial_indent="# ", subsequent_indent="# ")
     return f'{comment}\n# practice_fault = "stray light"\n'
@@ -437,10 +431,10 @@ second_tilt_filters = [{_names(plan.second_tilt_filters)}]"""
     return f"""# A paint session: white tile, sample beside a ColorChecker, sample; tile and sample through filters.
 schema_version = {plan.schema_version}
 kind = "{plan.kind}"
-paint_name = {_quoted(plan.paint_name)}
+paint_name = {toml_text(plan.paint_name)}
 {filters}
 # the filter that passes the laser line
-excitation_filter = {_quoted(plan.excitation_filter)}
+excitation_filter = {toml_text(plan.excitation_filter)}
 # brightest pixel of the region, as a fraction of full scale
 target_fraction = {plan.target_fraction!r}
 # exposures of each step, as multiples of the metered exposure
@@ -457,11 +451,11 @@ def _camera_plan_toml(plan: CameraPlan) -> str:
     """Return a camera plan without its region."""
     through = "# filter_name = ...: without it, the wheel must be out of the beam"
     if plan.filter_name is not None:
-        through = f"filter_name = {_quoted(plan.filter_name)}"
+        through = f"filter_name = {toml_text(plan.filter_name)}"
     return f"""# A camera session: flat frames of the white tile from dark to beyond saturation, and dark frames.
 schema_version = {plan.schema_version}
 kind = "{plan.kind}"
-camera_name = {_quoted(plan.camera_name)}
+camera_name = {toml_text(plan.camera_name)}
 # the filter in the beam
 {through}
 # number of exposures up to the saturation of each channel, evenly spaced, and number of frames at each
@@ -487,4 +481,4 @@ width_px = {region.width_px}
 
 def _names(names: tuple[str, ...]) -> str:
     """Return the entries of a TOML array of strings."""
-    return ", ".join(_quoted(name) for name in names)
+    return ", ".join(toml_text(name) for name in names)

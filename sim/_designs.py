@@ -10,7 +10,6 @@ What is published of a classic sensor stands in ``origin`` and ``source`` of its
 so that a picture shows what such a sensor sees, not what one specimen does.
 """
 
-import json
 import textwrap
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
@@ -37,7 +36,7 @@ from data_schemas import (
     TranslucentLayer,
     explain,
 )
-from data_schemas.storage import read_toml, read_toml_tables
+from data_schemas.storage import read_toml, read_toml_tables, toml_text
 
 # the panel at the tip, a mirror image of the one at the base
 _LIGHT_AT_THE_TIP: Final = LightPanel(angle_deg=150.0, position_mm=(0.0, -4.0, 71.0))
@@ -291,7 +290,7 @@ def _table_lines(
 def _toml_value(value: object) -> str:
     """Return a TOML value: text, number or list of numbers."""
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return toml_text(value)
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{_toml_value(key)} = {_toml_value(one)}" for key, one in value.items()) + " }"
     if isinstance(value, tuple):

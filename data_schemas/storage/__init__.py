@@ -75,7 +75,15 @@ if TYPE_CHECKING:
         manifest_text,
         write_manifest,
     )
-    from data_schemas.storage._records import A_RECORD, migrate, read_record, read_toml, stored_kind, write_record
+    from data_schemas.storage._records import (
+        A_RECORD,
+        migrate,
+        read_record,
+        read_toml,
+        stored_kind,
+        toml_text,
+        write_record,
+    )
     from data_schemas.storage._whole_files import (
         given_path,
         lock,
@@ -150,6 +158,7 @@ __all__ = [
     "stored_kind",
     "tell",
     "tiff_image",
+    "toml_text",
     "write_atomically",
     "write_bytes",
     "write_frame",

@@ -13,6 +13,7 @@ Arrays and images are read by :mod:`data_schemas.storage._array_files`.
 """
 
 import csv
+import errno
 import hashlib
 import io
 import json
@@ -301,10 +302,12 @@ def folder_at(path: Path, error: type[FinrayError] = RecordError) -> Path | None
 
 def has_file(path: Path) -> bool:
     """Return whether a path names a regular file, on the disk or in a zip archive."""
-    if path.is_file():
-        return True
-    member = _member_at(path)
-    return member is not None and member.name in member.archive
+    try:
+        return path.is_file() or ((member := _member_at(path)) is not None and member.name in member.archive)
+    except OSError as fault:
+        if fault.errno == errno.ENAMETOOLONG:
+            return False
+        raise
 
 
 def files_below(folder: Path) -> Iterator[Path]:
@@ -318,8 +321,7 @@ def files_below(folder: Path) -> Iterator[Path]:
     if folder.is_dir():
         yield from (path for path in folder.rglob("*") if path.is_file())
         return
-    at = _member_at(folder / "any")
-    if at is not None:
+    if (at := _member_at(folder / "any")) is not None:
         above = at.name.removesuffix("any")
         yield from (folder / name.removeprefix(above) for name in at.archive.names if name.startswith(above))
 
@@ -331,10 +333,7 @@ def files_in(folder: Path, ending: str = "") -> list[Path]:
 
 
 def read_text(
-    path: Path,
-    what: str = "a text file",
-    error: type[FinrayError] = RecordError,
-    encoding: str = "utf-8",
+    path: Path, what: str = "a text file", error: type[FinrayError] = RecordError, encoding: str = "utf-8"
 ) -> str:
     """Return the text of a regular file; see :func:`read_bytes`.
 

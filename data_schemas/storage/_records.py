@@ -274,6 +274,8 @@ def _with_arrays(path: Path, value: Any, arrays: dict[str, NDArray[Any]]) -> Any
 
 
 _KEYS_OF_KINDS: Final = {
+    "camera_name": "the plan of a camera session",
+    "check_name": "the plan of a check",
     "filter_wheel": "a rig file",
     "load_cell": "a rig file",
     "pad": "the design of a finger or sensor",
@@ -281,6 +283,12 @@ _KEYS_OF_KINDS: Final = {
     "vary": "the plan of a study",
 }
 """Keys at the top of a TOML file that one kind of file alone has, and what that kind is called."""
+
+
+def toml_text(text: str) -> str:
+    """Return a text as TOML writes it, a basic string in quotation marks."""
+    # TOML escapes as JSON does, and also the DEL character, which JSON leaves as it is
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def read_toml(path: Path, record_type: type[R], complete: Complete = dict) -> R:

@@ -84,7 +84,8 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
     Raises
     ------
     CompareError
-        There is none, one does not tell where its contact is, or images differ in size.
+        There is none, one does not tell where its contact is, images differ in size, or all pixels near the contacts
+        are clipped or dark.
     """
     if not captures:
         raise CompareError("no press was given, but a table needs at least one press to train on")
@@ -106,6 +107,11 @@ def train_table(captures: Sequence[TactileCapture]) -> PressTable:
         target = contact[used] / level[used] - 1.0
         normal += terms.T @ terms
         right += terms.T @ target
+    if not normal.any():
+        raise CompareError(
+            "no pixel near the contact of any press can be used, because all are clipped, or at or below the black "
+            "level without contact; check circles, exposure and black level, or give other presses to train on"
+        )
     penalty = RIDGE_REL * np.trace(normal) / len(normal) * np.eye(len(normal))
     coefficients = np.linalg.solve(normal + penalty, right)
     names, digests = zip(*((capture.name, contact_sha256(capture)) for capture in captures), strict=True)
@@ -248,7 +254,7 @@ def _terms(distance: Floats, used: Bools, width_px: float) -> Floats:
     rows, columns = np.nonzero(used)
     size = max(used.shape)
     place = np.stack([np.ones_like(d), columns / size - 0.5, rows / size - 0.5], axis=-1)
-    return np.asarray(np.einsum("pi,pj,pk->pijk", radial, angular, place).reshape(len(d), -1))
+    return np.asarray(np.einsum("pi,pj,pk->pijk", radial, angular, place).reshape(len(d), _TERMS))
 
 
 _ENDINGS = (".json", ".press", ".capture")

@@ -4,7 +4,8 @@ What goes before it: do the images belong together, and does the camera stand wh
 reader must know, namely what the intervals cover, what they leave out, and what is withheld.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -58,7 +59,14 @@ from finray_calib.compare._prepared_images import (
 from finray_calib.compare._regions import DILATED, FACTORS, every_channel
 from finray_calib.compare._registration import move_press, register_press
 from finray_calib.compare._tone_curve import drift_record, encoded_layers, tone_record, without_gain
-from finray_calib.sensing import full_scale_dn, patch_scale, rgb_image, scale_finding, with_measured_scale
+from finray_calib.sensing import (
+    contact_distance,
+    full_scale_dn,
+    patch_scale,
+    rgb_image,
+    scale_finding,
+    with_measured_scale,
+)
 
 #: How the finding begins that says that the camera stands where the render has it.
 NO_DRIFT = "no drift of the camera that matters"
@@ -161,7 +169,7 @@ def _checked(
     if not chosen.despite_mismatch:
         require_no_mismatch(findings)
     compared, told = _placed_press(press, capture, chosen.registered)
-    checks = (*(f"{f.about}: {f.text}" for f in findings), *told)
+    checks = (*(f"{f.about}: {f.text}" for f in findings), *told, *_other_press(compared, capture))
     scale, scaled = None, capture
     if chosen.pixel_scale is not None:
         scaled = with_measured_scale(capture, chosen.pixel_scale)
@@ -175,6 +183,36 @@ def _checked(
     forced = any(f.severity == "refuse" for f in findings)
     found = {"findings": (*report.findings, *checks), "forced_mismatch": forced, "patch_scale": scale}
     return report.model_copy(update=found | {"relative": chosen.relative}), compared, estimated
+
+
+_SIZE_IN_NAME: Final = re.compile(r"(?<![\d.])(\d+(?:\.\d+)?)[ _-]?(mm|um|N|deg)(?![A-Za-z])")
+
+
+def _other_press(press: SimulatedPress, capture: TactileCapture) -> Iterator[str]:
+    """Tell what shows that a capture is of another press: contacts that share no pixel, and sizes in the two names."""
+    distance = contact_distance(capture)
+    patches = [] if distance is None else [press.distance <= 1.0, distance <= 1.0]
+    if patches and all(patch.any() for patch in patches) and not (patches[0] & patches[1]).any():
+        at = [f"{name} ({_place(patch)})" for name, patch in zip((press.name, capture.name), patches, strict=True)]
+        yield (
+            f"place: the contact of the render {at[0]} and that of the capture {at[1]} share no pixel: check that both "
+            "are of the same press, and the contact circle or outline of the capture"
+        )
+    sizes = [{(unit, float(number)) for number, unit in _SIZE_IN_NAME.findall(n)} for n in (press.name, capture.name)]
+    for unit in sorted({unit for unit, _ in sizes[0]} & {unit for unit, _ in sizes[1]}):
+        told = [sorted(number for u, number in named if u == unit) for named in sizes]
+        if not set(told[0]) & set(told[1]):
+            words = [" and ".join(f"{number:g} {unit}" for number in numbers) for numbers in told]
+            yield (
+                f"names: the render {press.name} is named by {words[0]}, but the capture {capture.name} by {words[1]}: "
+                "check that both are of the same press"
+            )
+
+
+def _place(patch: NDArray[np.bool_]) -> str:
+    """Return where a contact patch lies, in words."""
+    row, column = (float(places.mean()) for places in np.nonzero(patch))
+    return f"its centre at row {row:.0f} px, column {column:.0f} px, radius {np.sqrt(patch.sum() / np.pi):.0f} px"
 
 
 def shown_press(

@@ -4,7 +4,6 @@ The page (Markdown) says what to prepare, to press, to measure and to send; a pl
 lab must measure. Places and depths of the presses suit a design's pad.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -12,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from data_schemas import FingerDesign, RecordError
+from data_schemas.storage import toml_text
 from finray_calib.sensing import MINIMUM_PRESSES
 
 BALL_PRESSES: Final = 18
@@ -205,8 +205,8 @@ def _head(design: FingerDesign, design_file: str, asked: IndenterPresses, view: 
     return f"""\
 # Written by finray. Lines with MEASURE hold planned values: replace them by what you measured.
 kind = "tactile"
-name = {_text(name)}
-design = {_text(design_file)}
+name = {toml_text(name)}
+design = {toml_text(design_file)}
 bracket_powers = [{BRACKET_POWERS[0]}, {BRACKET_POWERS[1]}]         # exposures 2^n us: first and last n
 no_contact_images = {NO_CONTACT_IMAGES}            # before and after each press
 repeats = {REPEATS}                      # of each press; the indenter is retracted between them
@@ -232,11 +232,6 @@ depth_uncertainty_mm = {_DEPTH_U_MM}      # MEASURE
 position_uncertainty_mm = {_POSITION_U_MM}    # MEASURE
 tilt_uncertainty_deg = {_TILT_U_DEG}       # MEASURE
 """
-
-
-def _text(text: str) -> str:
-    """Return a TOML string."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _float(value: float) -> str:

@@ -4,7 +4,6 @@ Names of columns, arrays and keys propose what they may hold; a proposal is a co
 mean something else. A unit is proposed only where the name states it.
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_schemas import ImportFormatError, MissingExtraError
-from data_schemas.storage import files_below, folder_at, read_json
+from data_schemas.storage import files_below, folder_at, read_json, read_text, toml_text
 from finray_calib.exchange._capture_recipe import PLACEHOLDER
 from finray_calib.exchange._set_files import (
     ARRAY_IN,
@@ -45,7 +44,7 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", "
 _NO_CONTACT: Final = re.compile(
     r"(^|[^a-z])(bg|background|baseline|blank|ref|rest|flat|empty|no_?contact|no_?touch|untouched|init)", re.I
 )
-_BEFORE: Final = re.compile(r"(^|[^a-z])(pre|before)(?![a-z])", re.I)
+_BEFORE: Final = re.compile(r"(^|[^a-z])(pre|before|free)(?![a-z])", re.I)
 _AFTER: Final = re.compile(r"(^|[^a-z])(post|after)(?![a-z])", re.I)
 _MAP: Final = re.compile("depth|height", re.I)
 _TIME: Final = re.compile(r"(t|.*time.*|.*stamp.*|.*_m?s)", re.I)
@@ -53,6 +52,7 @@ _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _GROUPS_SHOWN, _KEYS_SHOWN, _NAMED = 12, 16, 4
 _WITH_PICTURES: Final = (*_PICTURES, *VIDEOS, ".npz")
 _RUN_OF_DIGITS: Final = re.compile(r"\d+(?:\.\d+)?")
+_NUMBER: Final = re.compile(r"[-+]?\.?\d|[-+]?(nan|inf)\b", re.I)
 _MOST_SURVEYED = 20_000
 _RECIPE_START: Final = """\
 name = "mine"
@@ -172,9 +172,9 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     files, chosen = _pattern(touched[0].names) if touched else "{press}.png", ""
     stacks = [(kind, array) for kind in kinds for array, shape in kind.columns.items() if _is_stack(array, shape)]
     words = _words(touched[0].names) if touched else {}
-    if len(touched) > 1 and len(touched[0].names) == 1:  # names without numbers
-        first = PurePosixPath(touched[0].names[0])
-        files = (first.parent / f"{{press}}{first.suffix}").as_posix()
+    named = touched[0] if touched else _Kind([files])
+    if len(touched) > 1 and len(touched[0].names) == 1:
+        files, named = _without_numbers(touched)
     elif stacks and (not touched or len(touched[0].names) == 1):
         (holder, array), words = stacks[0], {}
         files = f"{holder.names[0]}{ARRAY_IN}{array}[{{press}}]"
@@ -190,18 +190,28 @@ def _begun(kinds: Sequence[_Kind], lines: Sequence[str]) -> str:
     if presses.suffix in VIDEOS:
         rest = "frames_before = 10"
     elif around := _around(presses, words, pictures):
-        rest = "\n".join(f"{field} = {_toml(file)}" for field, file in around.items())
+        rest = "\n".join(f"{field} = {toml_text(file)}" for field, file in around.items())
     elif untouched:
-        rest = f"file = {_toml(_rest_file(untouched, presses, files))}"
+        rest = f"file = {toml_text(_rest_file(untouched, named, files))}"
     contact, indenter = _proposals(presses, words, kinds)
     return _RECIPE_START.format(
-        files=_toml(files),
+        files=toml_text(files),
         chosen=chosen,
         no_contact=rest,
         contact="".join(f"\n# {_printable(line)}" for line in contact),
         indenter="\n".join(f"# {_printable(line)}" for line in indenter),
         rest="\n".join(f"# {line}" for line in lines),
     )
+
+
+def _without_numbers(touched: Sequence[_Kind]) -> tuple[str, _Kind]:
+    """Return pattern and files of presses without numbers: one name in a folder for each, or names in one folder."""
+    paths = [PurePosixPath(kind.names[0]) for kind in touched]
+    first = paths[0]
+    alike = [path for path in paths if path.name == first.name and path.parent.parent == first.parent.parent]
+    if len(alike) > 1:
+        return str(first.parent.parent / "{press}" / first.name), _Kind([str(path) for path in alike])
+    return str(first.parent / f"{{press}}{first.suffix}"), touched[0]
 
 
 def _touched(pictures: Sequence[_Kind]) -> Sequence[_Kind]:
@@ -253,8 +263,8 @@ def _chosen(files: str, names: Sequence[str], pictures: Sequence[_Kind]) -> str:
         return ""
     for only in ("?" * len(presses[0]), "*[0-9]"):
         if all(fnmatchcase(name, only) for name in presses) and not any(fnmatchcase(name, only) for name in others):
-            return f"\nonly = {_toml(only)}"
-    return f"\nleave_out = [{', '.join(map(_toml, others))}]" if len(others) <= _KEYS_SHOWN else ""
+            return f"\nonly = {toml_text(only)}"
+    return f"\nleave_out = [{', '.join(map(toml_text, others))}]" if len(others) <= _KEYS_SHOWN else ""
 
 
 #: What a column, array or key may hold, by what its name ends in, without its unit and index.
@@ -306,22 +316,26 @@ def _proposals(presses: _Kind, words: Mapping[int, str], kinds: Sequence[_Kind])
         if kind is presses or not set(PLACEHOLDER.findall(file)) <= known:
             continue
         if kind.picture and _MAP.search(file) and PLACEHOLDER.search(file):
-            contact += [_INSTEAD, "[contact.depth_map]", f"file = {_toml(file)}"]
+            contact += [_INSTEAD, "[contact.depth_map]", f"file = {toml_text(file)}"]
             contact.append('value_mm = "FILL IN"      # mm in 1 of its values; below 0 where they fall under pressure')
-        at = [f"file = {_toml(file)}"]
+        at = [f"file = {toml_text(file)}"]
         if kind.is_table and presses.suffix not in VIDEOS:
-            at.append(f"press = {_toml(_press_column(kind, presses) or 'FILL IN: the column that names the press')}")
+            at.append(
+                f"press = {toml_text(_press_column(kind, presses) or 'FILL IN: the column that names the press')}"
+            )
         roles = {_entry(name, shape, kind): _role(name, shape) for name, shape in kind.columns.items()}
         circle = [next((name for name, (role, _) in roles.items() if role == part), "") for part in _CIRCLE]
         if all(circle):
-            told = ", ".join(f"{part} = {_toml(name)}" for part, name in zip(_CIRCLE, circle, strict=True))
+            told = ", ".join(f"{part} = {toml_text(name)}" for part, name in zip(_CIRCLE, circle, strict=True))
             unsure = [name for name in circle if not roles[name][1].startswith("p")]
             contact += [_INSTEAD, *at, f"circle = {{ {told} }}"]
             contact += [f"# CHECK that {', '.join(unsure)} are in pixels: their names do not say"] if unsure else []
         _propose_numbers(indenter, roles, at)
         time = next((name for name in kind.columns if _TIME.fullmatch(name)), None)
         if presses.suffix in VIDEOS and kind.is_table and time is not None and "[force]" in indenter:
-            indenter.append(f'frames = {{ time = {_toml(time)}, unit = "s" }}  # CHECK the unit: or "ms", "us", "ns"')
+            indenter.append(
+                f'frames = {{ time = {toml_text(time)}, unit = "s" }}  # CHECK the unit: or "ms", "us", "ns"'
+            )
     if not any(line.startswith("diameter_mm") for line in indenter):
         indenter.insert(0, "diameter_mm = 4.0")
     return contact, indenter
@@ -333,15 +347,15 @@ def _propose_numbers(lines: list[str], roles: Mapping[str, tuple[str, str]], at:
     if sizes and not any(line.startswith("depth_mm") for line in lines):
         units = ", ".join(f'{role} = "{roles[name][1] or "FILL IN"}"' for role, name in sizes.items())
         unsure = [name for name in sizes.values() if not roles[name][1]]
-        lines += [*at, *(f"{role} = {_toml(name)}" for role, name in sizes.items())]
+        lines += [*at, *(f"{role} = {toml_text(name)}" for role, name in sizes.items())]
         lines.append(f"columns_in = {{ {units} }}")
         lines += [f'# FILL IN "mm", "cm", "m" or "um", which {", ".join(unsure)} does not say'] if unsure else []
     force = next((name for name, (role, _) in roles.items() if role == "force"), None)
     if force is not None and "[force]" not in lines:
         unit = roles[force][1]
-        lines += ["[force]", *at, f"column = {_toml(force)}"]
+        lines += ["[force]", *at, f"column = {toml_text(force)}"]
         lines.append(
-            f"unit = {_toml(unit)}"
+            f"unit = {toml_text(unit)}"
             if unit
             else 'unit = "FILL IN"          # "N", "mN", "g" or "kg": the name does not say'
         )
@@ -365,11 +379,6 @@ def _press_column(kind: _Kind, presses: _Kind) -> str:
         if cells and 2 * named >= len(cells):
             return column
     return ""
-
-
-def _toml(text: str) -> str:
-    """Return a text as TOML writes it."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _printable(text: str) -> str:
@@ -445,13 +454,7 @@ def _content(kind: _Kind, path: Path) -> str:
         kind.columns = dict.fromkeys(keys, ())
         return f"object of {len(whole)} keys: {', '.join(keys[:_KEYS_SHOWN])}"
     if suffix in (".csv", ".tsv", *TABLES, ".json"):
-        columns, rows = table_rows(path)
-        if suffix in TEXTS_OF_NUMBERS and all(map(_RUN_OF_DIGITS.fullmatch, columns)):
-            return f"numbers without names: {len(rows) + 1} x {len(columns)}"
-        kind.columns, kind.is_table = dict.fromkeys(columns, ()), True
-        kind.cells = {column: [row.get(column, "") for row in rows] for column in columns}
-        more = ", ..." if len(columns) > _KEYS_SHOWN else ""
-        return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"
+        return _table(kind, path)
     if suffix in (".npz", ".npy"):
         arrays, pickled = ArrayFiles().of(path)
         kind.columns = {name: array.shape for name, array in arrays.items()}
@@ -459,6 +462,8 @@ def _content(kind: _Kind, path: Path) -> str:
         shown = [f"{name} {array.shape} {array.dtype}".strip() for name, array in arrays.items()]
         return "arrays: " + ", ".join([*shown, *(f"{name} (pickled, never read)" for name in pickled)])
     if suffix in TEXTS_OF_NUMBERS:
+        if not _is_of_numbers(path):
+            return _table(kind, path)
         lines, places = ArrayFiles().of(path)[0][""].shape
         return f"numbers without names: {lines} x {places}"
     if suffix in VIDEOS:
@@ -472,3 +477,21 @@ def _content(kind: _Kind, path: Path) -> str:
         colours = "grey" if picture.shape[2] == 1 else "colour"
         return f"picture of {picture.shape[1]} x {picture.shape[0]} px, {picture.dtype}, {colours}"
     return "not read"
+
+
+def _is_of_numbers(path: Path) -> bool:
+    """Return whether the first line of a text that says something begins with a number."""
+    lines = (line.strip() for line in read_text(path, "a text", ImportFormatError).splitlines())
+    first = next((line for line in lines if line), "#")
+    return first.startswith("#") or _NUMBER.match(first) is not None
+
+
+def _table(kind: _Kind, path: Path) -> str:
+    """Return what a table holds, in words."""
+    columns, rows = table_rows(path)
+    if kind.suffix in TEXTS_OF_NUMBERS and all(map(_RUN_OF_DIGITS.fullmatch, columns)):
+        return f"numbers without names: {len(rows) + 1} x {len(columns)}"
+    kind.columns, kind.is_table = dict.fromkeys(columns, ()), True
+    kind.cells = {column: [row.get(column, "") for row in rows] for column in columns}
+    more = ", ..." if len(columns) > _KEYS_SHOWN else ""
+    return f"table of {len(rows)} lines: {', '.join(columns[:_KEYS_SHOWN])}{more}"

@@ -292,6 +292,11 @@ def read_signal_cells(path: Path) -> SignalTable:
 def _check_columns(path: Path, header: Sequence[str]) -> None:
     """Refuse columns that are unknown or missing, and two that say the same."""
     readings = ", ".join((*READINGS, *RATIOS))
+    if "wavelength_nm" in header:
+        raise ImportFormatError(
+            f"{path}: contains a curve over the wavelength (column 'wavelength_nm'), but a table of band signals is "
+            "needed; give that as TABLE, and curves with --response or --lamp"
+        )
     for name in header:
         if name not in _COLUMNS:
             near = difflib.get_close_matches(name, _COLUMNS, 1, cutoff=0.6)

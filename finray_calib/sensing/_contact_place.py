@@ -7,6 +7,7 @@ uses the stronger of the two.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -31,6 +32,7 @@ _INSIDE, _OUTSIDE = np.linspace(0.86, 1.0, 4), np.linspace(1.1, 1.3, 4)
 # how far the rim may lie from the centre of the coarse search, in radii of the smallest circle
 _REACH_REL = 0.6
 _STEPS_PX = (1.5, 0.75)
+_SMOOTHED_PX: Final = 1.5
 #: Pictures that are wider or higher are searched in blocks, and the circle is then refined in their own pixels.
 LARGEST_SEARCHED_PX: Final = 640
 # of an outline: what counts as a change of the picture
@@ -240,7 +242,7 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
     Raises
     ------
     CompareError
-        The image is smaller than three of the smallest circles.
+        The image is smaller than three of the smallest circles, or changes no more than a picture of noise does.
     """
     contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
     full = 2.0**capture.bit_depth - 1.0
@@ -256,6 +258,11 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
     small = [_in_blocks(image, side) for image in (contact, no_contact)]
     # the smallest circle of a large picture is large in itself: SMALLEST_RADIUS_PX are those that are looked at
     found = _searched(small[0], small[1], max(smallest / side, SMALLEST_RADIUS_PX), largest / side)
+    if found is None:
+        raise CompareError(
+            "its picture changes with contact no more than noise does, so the search finds no circle; check that it "
+            "shows contact, or give the circle with --circles"
+        )
     if side == 1:
         return found
     circle = ContactCircle(
@@ -277,13 +284,54 @@ def _in_blocks(image: Floats, side_px: int) -> Floats:
     return np.asarray(small, dtype=np.float64)
 
 
-def _searched(contact: Floats, no_contact: Floats, smallest_px: float, largest_px: float) -> FoundCircle:
-    """Return the circle that a picture of moderate size shows."""
-    signal = _log_change(contact, no_contact, 1.5)
-    odd, even = (_coarse(signal, smallest_px, largest_px, is_even=is_even) for is_even in (False, True))
+#: Of a search: so many pictures of white noise are searched alike, and a contact must answer so many times as strongly
+#: as the strongest of them, in energy. Noise that demosaicing or JPEG correlates beyond the blocks in which it is
+#: measured answered up to 3.5 times as strongly as white noise of the same measure.
+_NOISE_PICTURES, _TIMES_NOISE = 10, 4.0
+
+
+def _searched(contact: Floats, no_contact: Floats, smallest_px: float, largest_px: float) -> FoundCircle | None:
+    """Return the circle that a picture of moderate size shows; None where it shows noise alone."""
+    signal = _log_change(contact, no_contact, _SMOOTHED_PX)
+    odd, even = _answers(signal, smallest_px, largest_px)
+    blocks = [np.maximum(_in_blocks(image, _COARSE_PX), 0.0) for image in (contact, no_contact)]
+    floor = 1.0 / 255.0 * max(float(blocks[1].max()), 1e-12)
+    noise = _TIMES_NOISE * _noise_variance(np.log((blocks[0] + floor) / (blocks[1] + floor)))
+    if max(odd.response_rel, even.response_rel) <= noise * _answer_of_noise(signal.shape[:2], smallest_px, largest_px):
+        return None
     if even.response_rel > odd.response_rel:
         return _even_circle(signal, even)
     return _odd_circle(_log_change(contact, no_contact, 1.0), odd, smallest_px, largest_px)
+
+
+def _answers(signal: Image, smallest_px: float, largest_px: float) -> "tuple[_Place, _Place]":
+    """Return where the odd and the even filters answer most."""
+    odd, even = (_coarse(signal, smallest_px, largest_px, is_even=is_even) for is_even in (False, True))
+    return odd, even
+
+
+def _noise_variance(change: Floats) -> float:
+    """Return the variance of the noise of the noisiest channel of a change, in blocks.
+
+    By the second difference along both axes (Immerkaer 1996), of which a smooth change has little, and the median over
+    the picture, of which a contact covers less than half.
+    """
+    second = cv2.filter2D(change, cv2.CV_64F, np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0]))
+    # 6 is the norm of the mask, 0.6745 the median of the size of a standard normal deviate
+    deviation = np.median(np.abs(second), axis=(0, 1)) / (6.0 * 0.6745)
+    return float(deviation.max()) ** 2
+
+
+@lru_cache(maxsize=16)
+def _answer_of_noise(shape: tuple[int, int], smallest_px: float, largest_px: float) -> float:
+    """Return the strongest answer to pictures of white noise, over the variance that is measured in them."""
+    rng, strongest = np.random.default_rng(0), 0.0
+    for _ in range(_NOISE_PICTURES):
+        noise = rng.standard_normal((*shape, 3))
+        signal = _less_plane(np.asarray(cv2.GaussianBlur(noise, (0, 0), _SMOOTHED_PX), dtype=np.float64))
+        found = max(place.response_rel for place in _answers(signal, smallest_px, largest_px))
+        strongest = max(strongest, found / _noise_variance(_in_blocks(noise, _COARSE_PX)))
+    return strongest
 
 
 def _refined(contact: Floats, no_contact: Floats, found: FoundCircle, side_px: int, largest_px: float) -> FoundCircle:
@@ -397,9 +445,13 @@ def with_far_surface(capture: TactileCapture) -> TactileCapture:
 
 def _log_change(contact: Floats, no_contact: Floats, sigma_px: float) -> Image:
     """Return ln(contact / no contact), smoothed, less the plane of most pixels per channel."""
-    smooth = [cv2.GaussianBlur(image, (0, 0), sigma_px) for image in (contact, no_contact)]
     floor = 1.0 / 255.0 * max(float(no_contact.max()), 1e-12)
-    change = np.log((smooth[0] + floor) / (smooth[1] + floor))
+    smooth = [cv2.GaussianBlur(image, (0, 0), sigma_px) + floor for image in (contact, no_contact)]
+    return _less_plane(np.log(smooth[0] / smooth[1]))
+
+
+def _less_plane(change: Floats) -> Image:
+    """Return a change less the plane of most pixels per channel."""
     rows, columns = change.shape[:2]
     down, along = np.mgrid[:rows, :columns] / max(rows, columns)
     plane = np.stack([np.ones((rows, columns)), along, down], axis=-1)

@@ -35,6 +35,7 @@ from rigs.capture._resume import (
     require_same_inputs,
     resume_notes,
     rig_as_it_is,
+    stored_before,
     take_over,
 )
 from rigs.capture._session_folder import (
@@ -137,7 +138,7 @@ def capture_camera_with(
             write_start(journal, plan, rig, request, inputs, devices)
         else:
             take_over(out, interrupted)
-            journal.append("resume", frames=len(interrupted.frames))
+            journal.append("resume", **stored_before(interrupted))
         with (
             faults_noted(journal, out, camera_times(plan, rig).healing_s),
             FrameStore(opened, rig, whole_cells, out, journal, interrupted, watch) as store,

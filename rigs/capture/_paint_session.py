@@ -67,6 +67,7 @@ from rigs.capture._resume import (
     require_same_inputs,
     resume_notes,
     rig_as_it_is,
+    stored_before,
     take_over,
 )
 from rigs.capture._session_folder import (
@@ -602,7 +603,7 @@ def capture_with(
 def _go_on(journal: Journal, out: Path, interrupted: Interrupted) -> None:
     """Take over the folder of an interrupted session, and note it in its journal."""
     take_over(out, interrupted)
-    journal.append("resume", frames=len(interrupted.frames), sample_dose_j=interrupted.dose_j)
+    journal.append("resume", **stored_before(interrupted), sample_dose_j=interrupted.dose_j)
 
 
 WHEEL_MOVE_S = 1.0  # to a neighbouring slot: the slowest of the usual wheels

@@ -3,6 +3,7 @@
 Curve files and camera must be as they were when the session began.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -348,6 +349,12 @@ def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
         "have changed meanwhile, and the laser dose does not include the light between the last stored frame "
         "and the interruption",
     )
+
+
+def stored_before(interrupted: Interrupted) -> dict[str, Any]:
+    """Return what the journal's line of a resumed session says: its frames, and those in light of each filter."""
+    lit = [frame.filter_name for frame in interrupted.frames.values() if frame.filter_name and frame.light != "off"]
+    return {"frames": len(interrupted.frames), "filters": dict(Counter(lit))}
 
 
 def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[int, Frame]]:

@@ -204,6 +204,7 @@ class WatchedSession(SessionWatch):
         # by number: a frame that is taken again replaces the one before
         self._stored: dict[int, str] = {}
         self._resumed = 0
+        self._resumed_of: Counter[str] = Counter()
         self._planned: Counter[str] = Counter()
         self._least_snr: dict[str, float] = {}
 
@@ -362,7 +363,7 @@ class WatchedSession(SessionWatch):
                     self._stored[int(what["sequence"])] = str(what.get("filter_name") or "") if is_lit else ""
                     self._publish(stored=self._resumed + len(self._stored), filters=self._filters())
                 case "resume":
-                    self._resumed = int(what["frames"])
+                    self._resumed, self._resumed_of = int(what["frames"]), Counter(what.get("filters", {}))
                     self._publish(stored=self._resumed)
                 case "fault":
                     times = now.repeated + int(what["times"])
@@ -375,7 +376,7 @@ class WatchedSession(SessionWatch):
                     self._publish(repairs=now.repairs + 1)
                 case "set aside":
                     self._resumed = 0
-                    for of_frames in (self._stored, self._least_snr, self._references, self._drifts):
+                    for of_frames in (self._stored, self._resumed_of, self._least_snr, self._references, self._drifts):
                         of_frames.clear()
                     self._publish(stored=0, drifts=(), filters=self._filters())
                 case "filter proof":
@@ -437,7 +438,7 @@ class WatchedSession(SessionWatch):
         self._drifts[kind] = Drift(label, rate_dn_per_s / first[0] - 1.0, uncertainty)
 
     def _stored_of(self) -> "Counter[str]":
-        return Counter(name for name in self._stored.values() if name)
+        return self._resumed_of + Counter(name for name in self._stored.values() if name)
 
     def _filters(self) -> tuple[FilterCount, ...]:
         stored = self._stored_of()

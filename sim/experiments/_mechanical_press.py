@@ -392,7 +392,24 @@ def _torques(design: FingerDesign, pressed: PressedFinger) -> tuple[float | None
     if design.indenter.friction > 0.0 or not touches:
         return None, None
     places, forces = contact_forces_n(pressed)
-    return slip_torque_n_mm(places, forces, 1.0), frictionless_torque_n_mm(places, forces, design.pad.width_mm)
+    return slip_torque_n_mm(places, forces, 1.0), tipping_torque_n_mm(design, places, forces)
+
+
+def tipping_torque_n_mm(design: FingerDesign, places_mm: NDArray[np.float64], forces_n: NDArray[np.float64]) -> float:
+    """Return the torque about the finger's long axis that a frictionless contact holds, by the shape of the indenter.
+
+    All normal forces on a ball pass through its centre, so it turns freely. A cuboid tips over the flat part of its
+    face, which may be narrower than the pad; any other body is taken to reach over the whole pad, as a cylinder does.
+    """
+    indenter, half_mm = design.indenter, design.pad.width_mm / 2.0
+    if indenter.shape == "ball":
+        return 0.0
+    low_mm, high_mm = -half_mm, half_mm
+    if indenter.size_mm is not None:
+        flat_mm = indenter.size_mm[0] / 2.0 - indenter.edge_radius_mm
+        low_mm, high_mm = max(low_mm, indenter.across_mm - flat_mm), min(high_mm, indenter.across_mm + flat_mm)
+    middle_mm = np.array([(low_mm + high_mm) / 2.0, 0.0, 0.0])
+    return max(frictionless_torque_n_mm(places_mm - middle_mm, forces_n, high_mm - low_mm), 0.0)
 
 
 def _surfaces(design: FingerDesign, pressed: PressedFinger, engine: str) -> FingerSurfaces:

@@ -11,6 +11,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from data_schemas import SimulateError
@@ -409,13 +411,20 @@ def _rounded_box_facets(half_mm: FloatArray, edge_mm: float, chord_mm: float) ->
 
 def _welded(vertices: FloatArray, triangles: IntArray) -> TriangleMesh:
     """Return a mesh whose equal corners are one vertex, without triangles that vanish by it."""
-    size = float(np.ptp(vertices, axis=0).max()) or 1.0
-    _, first, number = np.unique(
-        np.round(vertices / (_SAME_SHARE * size)), axis=0, return_index=True, return_inverse=True
-    )
-    merged = number.reshape(-1)[triangles]
+    apart_mm = _SAME_SHARE * (float(np.ptp(vertices, axis=0).max()) or 1.0)
+    _, first, number = np.unique(np.round(vertices / apart_mm), axis=0, return_index=True, return_inverse=True)
+    kept, number = vertices[first], number.reshape(-1)
+    if len(kept):
+        # rounding parts corners that lie on both sides of a boundary, however close they are
+        pairs = cKDTree(kept).query_pairs(apart_mm, output_type="ndarray")
+        joined = coo_array((np.ones(len(pairs), dtype=np.bool_), pairs.T), shape=(len(kept), len(kept)))
+        _, lead, body = np.unique(
+            connected_components(joined, directed=False)[1], return_index=True, return_inverse=True
+        )
+        kept, number = kept[lead], body.reshape(-1)[number]
+    merged = number[triangles]
     a, b, c = merged.T
-    return TriangleMesh(vertices[first], merged[(a != b) & (b != c) & (c != a)])
+    return TriangleMesh(kept, merged[(a != b) & (b != c) & (c != a)])
 
 
 def read_body(path: Path) -> TriangleMesh:

@@ -3,11 +3,13 @@
 import http.client
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -321,6 +323,25 @@ def test_frames_that_no_longer_count_are_not_counted(small, short, tmp_path, mon
     _, numbers = session.latest(-1, 0.0)
     assert (numbers.repairs, numbers.stored, numbers.left) == (1, len(made.frames), 0)
     assert all(f.stored == f.planned > 0 for f in numbers.filters)
+
+
+def test_a_resumed_session_counts_the_frames_of_each_filter_that_were_stored_before(
+    small, short, captured_short, short_folder, tmp_path
+):
+    out = tmp_path / "out"
+    shutil.copytree(short_folder, out)
+    for name in ("session.json", "manifest-sha256.txt"):
+        (out / name).unlink()
+    lines = (out / "journal.jsonl").read_text().splitlines(keepends=True)
+    ends = [number for number, line in enumerate(lines, 1) if json.loads(line)["event"] == "frame"]
+    (out / "journal.jsonl").write_text("".join(lines[: ends[2 * len(ends) // 3]]))
+    session, interrupted = watched(small, short), read_interrupted(out)
+    assert any(frame.light != "off" for frame in interrupted.frames.values())
+    with person(session):
+        capture_paint_session(small, short, request(session, out), interrupted=interrupted, mend=session.mend)
+    taken = Counter(frame.filter_name for frame in captured_short.frames if frame.light != "off")
+    counted = {f.name: (f.stored, f.planned) for f in session.latest(-1, 0.0)[1].filters}
+    assert counted == {name: (count, count) for name, count in taken.items() if name is not None}
 
 
 def test_a_session_of_presses(sensor, tmp_path):

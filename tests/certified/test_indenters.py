@@ -127,6 +127,18 @@ def test_a_text_file_is_read_too(tmp_path):
     assert volume_mm3(read_body(tmp_path / "cube.stl")) == pytest.approx(96.0)
 
 
+def test_corners_on_both_sides_of_a_rounding_boundary_are_one(tmp_path):
+    """Corners 1e-7 of the size apart, in any direction, are welded wherever they lie; an export repeats each corner."""
+    rng = np.random.default_rng(1)
+    size_mm = np.ptp(CUBE.vertices_mm, axis=0).max()
+    for _ in range(20):
+        corners = CUBE.vertices_mm[CUBE.triangles].reshape(-1, 3) + rng.uniform(0.0, 1e-6, 3) * size_mm
+        corners += rng.uniform(-0.5e-7, 0.5e-7, corners.shape) * size_mm
+        lines = ["solid cube", *(f"vertex {x:.12f} {y:.12f} {z:.12f}" for x, y, z in corners), "endsolid cube"]
+        (tmp_path / "cube.stl").write_text("\n".join(lines))
+        assert len(read_body(tmp_path / "cube.stl").vertices_mm) == len(CUBE.vertices_mm)
+
+
 @pytest.mark.parametrize(
     ("triangles", "scale", "message"),
     [

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from data_schemas import NoEquilibriumError, SimulateError
+from data_schemas import Indenter, NoEquilibriumError, SimulateError
 from sim import preset_design
 from sim.experiments import study_finger_stiffness
 from sim.experiments._design_sensitivities import _held_torques, _row
+from sim.experiments._mechanical_press import tipping_torque_n_mm
 from sim.mechanics import (
     LinearElastic,
     LoadedFinger,
@@ -117,6 +118,25 @@ def test_torque_at_slip_of_known_patches():
     assert frictionless_torque_n_mm(pair, np.array([3.0, 1.0]), 10.0) == pytest.approx(4.0 * (5.0 - 1.0), rel=1e-12)
     with pytest.raises(SimulateError, match="must be a finite coefficient of 0 or more"):
         slip_torque_n_mm(pair, np.ones(2), -0.1)
+
+
+@pytest.mark.parametrize(
+    ("indenter", "arm_mm"),
+    [
+        (Indenter(), 9.0 - 1.0),
+        (Indenter(shape="ball"), 0.0),
+        (Indenter(shape="cuboid", size_mm=(8.0, 5.0, 5.0), edge_radius_mm=0.5), 3.5 - 1.0),
+        (Indenter(shape="cuboid", size_mm=(8.0, 5.0, 5.0), edge_radius_mm=0.5, across_mm=7.0), 0.0),
+        (Indenter(shape="cuboid", size_mm=(40.0, 5.0, 5.0)), 9.0 - 1.0),
+    ],
+    ids=["cylinder", "ball", "narrow cuboid", "cuboid beside the force", "wide cuboid"],
+)
+def test_the_torque_without_friction_is_that_of_the_indenters_shape(indenter, arm_mm):
+    """Two forces of 2 N whose resultant acts 1 mm beside the middle of a pad of 18 mm."""
+    design = SMALL.model_copy(update={"indenter": indenter})
+    assert design.pad.width_mm == 18.0
+    places = np.array([[0.5, 6.0, 30.0], [1.5, 6.0, 34.0]])
+    assert tipping_torque_n_mm(design, places, np.array([2.0, 2.0])) == pytest.approx(4.0 * arm_mm, abs=1e-12)
 
 
 def test_the_order_of_two_fingers_and_its_table(monkeypatch):

@@ -149,6 +149,12 @@ CASES = (
         r"rig\.toml: contains a rig file, but a paint plan is needed; give the path of",
     ),
     Case(
+        "check plan for a rig",
+        "capture {lab}/plan.toml --rig {tmp}/check.toml",
+        r"check\.toml: contains the plan of a check, but a rig file is needed; give the path of the right file",
+        file("check.toml", 'kind = "check"\ncheck_name = "mine"\nwheel_moves = 3\n'),
+    ),
+    Case(
         "unknown key",
         BAD_RIG,
         r"rig\.toml: 'filter_wheel\.filters \(entry 1\)\.fwhm': unknown key; did you mean 'fwhm_nm'\?",

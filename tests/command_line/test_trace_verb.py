@@ -111,11 +111,12 @@ def test_records_before_seals_are_read_and_say_so(tmp_path):
     assert "missing" in outcome.out
 
 
-def test_a_name_that_no_file_can_have_is_a_missing_file(tmp_path):
+@pytest.mark.parametrize("name", ["a\0b", 300 * "a"], ids=["NUL", "300 bytes"])
+def test_a_name_that_no_file_can_have_is_a_missing_file(tmp_path, name):
     shutil.copytree(FROZEN / "LightAngleDecision" / "v1", tmp_path / "old")
     path = tmp_path / "old" / "example.json"
     envelope = json.loads(path.read_text())
-    write_sealed(path, envelope | {"companions": {"a\0b": "0" * 64}})
+    write_sealed(path, envelope | {"companions": {name: "0" * 64}})
     outcome = finray(f"trace {path}")
     assert outcome.status == 1
     assert "is missing; it belongs to example.json" in outcome.out

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from data_schemas import ComparedPair, CompareError, IndenterPose, Interval, TactileCapture
+from data_schemas import ComparedPair, CompareError, ContactCircle, IndenterPose, Interval, TactileCapture
 from finray_calib.compare import (
     PairRow,
     pair_by_name,
@@ -13,6 +13,7 @@ from finray_calib.compare import (
     skill_differences,
     skill_over_presses,
     to_capture,
+    train_table,
     worst_pairs,
 )
 from finray_calib.compare._batch import pair_name
@@ -245,3 +246,19 @@ def test_a_prediction_changes_nothing_where_nothing_touches():
     touched = ratio != 1.0
     assert np.array_equal(press.contact[~touched], press.no_contact[~touched])
     assert press.contact[touched].min() >= 0.0
+
+
+def test_presses_of_which_no_pixel_can_be_used_are_refused():
+    """Without contact the image is at the black level, so no change of it by contact can be told as a ratio."""
+    level = np.full((60, 80, 3), 16, dtype=np.uint16)
+    capture = TactileCapture(
+        name="dark", contact=level + 9, no_contact=level, repeat_no_contact=None, layout="RGB", encoding="unknown",
+        bit_depth=8, black_level_dn=16.0, exposure_s=None, light_angle_deg=None,
+        indenter=IndenterPose(shape="ball", radius_mm=3.0, depth_mm=None, position_mm=None),
+        contact_circle=ContactCircle(row_px=30.0, column_px=40.0, radius_px=8.0), mm_per_px=None, source="made up",
+    )  # fmt: skip
+    with pytest.raises(CompareError, match="no pixel near the contact of any press can be used, because all are"):
+        train_table([capture])
+    bright = capture.model_copy(update={"name": "bright", "contact": level + 90, "no_contact": level + 60})
+    table = train_table([bright, capture])  # one that shows nothing beside one that does is no fault
+    assert table.coefficients == pytest.approx(train_table([bright]).coefficients)

@@ -1,11 +1,12 @@
 """From press and capture to the report: rows, statements, notes, and what is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from data_schemas import CompareError
+from data_schemas import CompareError, ContactCircle
 from finray_calib.compare import DILATED, CheckOptions, compare_checked, compare_press
 from finray_calib.compare import _input_draws as stopping_rule
 from finray_calib.compare._candidate_errors import chromaticity_error, skill_interval
@@ -69,6 +70,32 @@ def test_linear_light_with_known_inputs_gives_every_figure(pair):
     assert left_out[:2] == ALWAYS_UNKNOWN
     # depth is stated and rendered, position neither; both paints are calibrated
     assert [text.split(":")[0] for text in left_out[2:]] == [f"the {POSE['position_mm']}"]
+
+
+def test_a_capture_of_another_press_is_told_by_its_place_and_its_name(pair):
+    """A circle in the middle of the press's own contact says nothing, nor do numbers without a unit."""
+    press, capture = pair
+    cell = 1 if capture.layout == "RGB" else 2
+    near, far = (np.unravel_index(find(press.distance), SHAPE) for find in (np.nanargmin, np.nanargmax))
+    told = {}
+    for case, (row, column), names in (
+        ("right", near, ("ball 5mm 03", "ball_5mm_17")),
+        ("elsewhere", far, ("ball 03", "ball 17")),
+        ("named", near, ("ball 5mm", "ball_10mm")),
+    ):
+        circle = ContactCircle(row_px=cell * row, column_px=cell * column, radius_px=3.0 * cell)
+        other = capture.model_copy(update={"contact_circle": circle, "name": names[1]})
+        report, _ = compare_checked(press.model_copy(update={"name": names[0]}), other, seed=1)
+        told[case] = [text for text in report.findings if text.startswith(("place:", "names:"))]
+    assert told["right"] == []
+    (place,) = told["elsewhere"]
+    centres = re.findall(r"centre at row (\d+) px, column (\d+) px, radius \d+ px", place)
+    assert np.abs(np.array(centres[1], dtype=float) - far).max() <= 3.0  # part of the circle is outside the image
+    assert "check that both are of the same press" in place
+    assert told["named"] == [
+        "names: the render ball 5mm is named by 5 mm, but the capture ball_10mm by 10 mm: check that both are of the "
+        "same press"
+    ]
 
 
 def test_colour_errors_are_those_of_the_noise_free_images():

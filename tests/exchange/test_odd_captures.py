@@ -362,6 +362,15 @@ def test_what_a_missing_package_reads_is_told_in_a_survey(tmp_path, monkeypatch)
     assert any("picture of " in line for line in told)
 
 
+def test_a_table_in_a_text_file_is_surveyed_as_a_table_and_numbers_as_numbers(tmp_path):
+    folder = write_lab(tmp_path / "f")
+    (folder / "log.txt").write_text("press\tforce_n\np1\t1.5\np2\t2.5\n")
+    (folder / "plain.txt").write_text("1.5 -2\n3 4\n")
+    told = survey_folder(folder).lines
+    assert "1 x log.txt: table of 2 lines: press, force_n" in told
+    assert "1 x plain.txt: numbers without names: 2 x 2" in told
+
+
 def test_odd_names_write_no_lines_of_their_own_into_a_recipe(tmp_path):
     folder = write_lab(tmp_path / "f", ["p😀_1", "p😀_2", "p😀_3", "p😀_4"])
     for name in (b"x\nforce = 1\n.png", b"\xff1.png"):
@@ -378,6 +387,7 @@ def test_odd_names_write_no_lines_of_their_own_into_a_recipe(tmp_path):
     ("press", "before", "after", "expected"),
     [
         ("p{}.png", "p{}_pre.png", "p{}_post.png", ("p{press}.png", "p{press}_pre.png", "p{press}_post.png")),
+        ("p{}_touch.png", "p{}_free.png", None, ("p{press}_touch.png", "p{press}_free.png", None)),
         ("p{}_post.png", "p{}_pre.png", None, ("p{press}_post.png", "p{press}_pre.png", None)),
         ("p{}/on.png", "p{}/before.png", "p{}/after.png", ("p{press}/on.png", "p{press}/before.png",
                                                            "p{press}/after.png")),

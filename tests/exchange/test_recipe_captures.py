@@ -566,6 +566,28 @@ def test_a_circle_in_a_large_picture_is_found_in_small_ones(factor, monkeypatch)
     assert np.hypot((found.row_px + 0.5) / factor - row, (found.column_px + 0.5) / factor - column) < 0.2 * CONTACT_PX
 
 
+@pytest.mark.parametrize("made", ["white noise", "JPEG", "no noise"])
+def test_a_picture_without_contact_has_no_circle(made):
+    """Two pictures of one scene that differ by their noise alone; 20 of each kind, none with a circle."""
+    rng = np.random.default_rng(7)
+
+    def picture():
+        image = np.clip(np.rint(flat() + (0.0 if made == "no noise" else rng.normal(0.0, 2.0, flat().shape))), 0, 255)
+        if made == "JPEG":
+            image = cv2.imdecode(cv2.imencode(".jpg", image.astype(np.uint8))[1], cv2.IMREAD_COLOR)
+        return image.astype(np.uint16)
+
+    for _ in range(1 if made == "no noise" else 20):
+        capture = TactileCapture(
+            name="nothing", contact=picture(), no_contact=picture(), repeat_no_contact=None, layout="RGB",
+            encoding="unknown", bit_depth=8, black_level_dn=0.0, exposure_s=None, light_angle_deg=None,
+            indenter=IndenterPose(shape="ball", radius_mm=None, depth_mm=None, position_mm=None), contact_circle=None,
+            mm_per_px=None, source="made up",
+        )  # fmt: skip
+        with pytest.raises(CompareError, match="its picture changes with contact no more than noise does"):
+            find_contact_circle(capture)
+
+
 def test_an_outline_outside_the_image_has_no_distance(tmp_path):
     capture = read_by_recipe(write_fots(tmp_path / "f"), shipped("fots-gelsight")).captures["0001"]
     far = tuple(PlaceInImage(row_px=900.0 + k, column_px=900.0 - k * k) for k in range(3))

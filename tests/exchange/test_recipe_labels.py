@@ -414,6 +414,15 @@ def test_a_begun_recipe_names_the_rest_of_each_folder_and_maps_of_depth(tmp_path
     assert recipe.contact.depth_map.file == "ball_{ball}/gel_{gel}_depth.npy"
 
 
+def test_a_begun_recipe_takes_folders_without_numbers_for_the_presses(tmp_path):
+    for name, image in zip(("ball", "cube", "edge"), PRESSES, strict=False):
+        put(tmp_path / name / "contact.png", image)
+        put(tmp_path / name / "no_contact.png", UNTOUCHED)
+    recipe = begun(tmp_path)
+    assert (recipe.presses.files, recipe.no_contact.file) == ("{press}/contact.png", "{press}/no_contact.png")
+    assert list(read_by_recipe(tmp_path, recipe).captures) == ["ball", "cube", "edge"]
+
+
 def test_a_folder_without_a_recipe_is_described_and_the_recipe_that_is_begun_reads_it(tmp_path, monkeypatch):
     for k, image in enumerate(PRESSES):
         put(tmp_path / "set" / f"ball_{k % 2}" / f"p{k}_z0.{k}.png", image)

@@ -442,6 +442,11 @@ def test_wrong_options_are_refused(tmp_path, rig):
         outcome = finray(f"import signals --template {option} --out {tmp_path}/t.csv")
         assert (outcome.status, (tmp_path / "t.csv").exists()) == (2, False), option
         assert f"{option.split()[0]} has no effect on an empty table; leave it out" in outcome.err
+    curve = tmp_path / "response.csv"
+    curve.write_text("wavelength_nm,response_percent\n400,50\n700,60\n")
+    exchanged = finray(f"import signals {curve} --response {path} --rig {rig} --out {tmp_path}/b.json")
+    assert exchanged.status == 2
+    assert "response.csv: contains a curve over the wavelength (column 'wavelength_nm'), but a table" in exchanged.err
     path.write_text(table({**OF_FILTERS, **exact()}))
     assert "the wavelength of the laser is not known; give --rig RIG" in finray(f"import signals {path}").err
     wide = {**OF_FILTERS, "fwhm_nm": np.full(7, -1.0), **exact()}

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import threading
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -31,7 +32,16 @@ from data_schemas import (
     provenance,
     why_failed,
 )
-from data_schemas.storage import read_frame, read_record, read_toml, sha256_of, write_bytes, write_frame, write_record
+from data_schemas.storage import (
+    read_frame,
+    read_record,
+    read_toml,
+    sha256_of,
+    toml_text,
+    write_bytes,
+    write_frame,
+    write_record,
+)
 from data_schemas.storage._records import INLINE_VALUES
 from tests.schemas.stored_files import write_sealed
 
@@ -392,3 +402,12 @@ def test_a_list_of_failures_says_where_finray_itself_made_a_wrong_record():
     assert why_failed(RecordError("no such file")) == "no such file"
     with pytest.raises(ValidationError):
         Interval.model_validate({"estimate": "much", "low95": 0.0, "high95": 1.0})
+
+
+@given(text=st.text(st.characters(exclude_categories=("Cs",))))
+def test_a_text_written_as_toml_is_read_as_it_was(text: str) -> None:
+    assert tomllib.loads(f"a = {toml_text(text)}") == {"a": text}
+
+
+def test_toml_refuses_a_del_character_that_json_leaves() -> None:
+    assert toml_text('"\x7f\n') == '"\\"\\u007f\\n"'
