@@ -24,7 +24,7 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple
 
 from data_schemas import CaptureError
-from data_schemas.storage import LARGEST_TEXT_BYTES, open_regular, parse_json, read_bytes
+from data_schemas.storage import LARGEST_TEXT_BYTES, parse_json, read_bytes
 from rigs import CallThread, Clock, NoAnswerError
 from rigs.transports import Fault, fault_listener
 
@@ -80,27 +80,6 @@ class _FaultLines:
             return (_Line(FAULT_EVENT, self._utc, self._at_s, told),)
 
 
-_OTHER: Final = "another capture is writing into this folder; wait until it ends"
-
-
-def require_no_writer(folder: Path) -> None:
-    """Refuse the folder of a session that still runs; nothing is opened to be written.
-
-    Raises
-    ------
-    OtherCaptureError
-        Another capture writes into it now.
-    """
-    path = folder / JOURNAL_NAME
-    if not path.is_file():
-        return
-    with open_regular(path, "the journal of a session", CaptureError) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise OtherCaptureError(f"{path}: {_OTHER}") from None
-
-
 class Journal:
     """Append-only log of a session; a ``with`` block that closes with the outcome ("done" or the error).
 
@@ -142,7 +121,9 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise OtherCaptureError(f"{self._path}: {_OTHER}") from None
+            raise OtherCaptureError(
+                f"{self._path}: another capture is writing into this folder; wait until it ends"
+            ) from None
         if self._nameless is not None:
             try:
                 self._require_new()  # again: the lock of a file that got its name meanwhile is ours too

@@ -47,7 +47,7 @@ from data_schemas.storage import (
     write_record,
 )
 from rigs import OpenRig, Operator, RawFrame, SystemClock
-from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines, require_no_writer, resume_command
+from rigs.capture._journal import JOURNAL_NAME, Journal, LinkedLine, linked_lines, resume_command
 from rigs.capture._plan import Step
 
 SESSION_NAME = "session.json"
@@ -231,14 +231,13 @@ def lacks_manifest(out: Path) -> bool:
 
 
 def require_unfinished(folder: Path) -> None:
-    """Refuse to resume a session that still runs, or was complete and lost its record since; nothing is written.
+    """Refuse to resume a session that was complete and lost its record since; nothing is written.
 
     Raises
     ------
     CaptureError
-        Another capture writes into the folder, or its checksums are there and its record is not.
+        Its checksums are there and its record is not.
     """
-    require_no_writer(folder)
     if _has_lost_its_record(folder):
         raise CaptureError(f"{folder}: {_LOST}")
 

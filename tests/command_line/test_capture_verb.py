@@ -1,6 +1,5 @@
 """``finray capture``: dry run, interruption by signals, resuming, a session like an earlier one."""
 
-import fcntl
 import io
 import json
 import os
@@ -120,24 +119,6 @@ def test_a_record_that_was_lost_is_asked_for_and_can_be_written_anew(lab: Path, 
     assert [frame.file for frame in rebuilt] == [frame.file for frame in first]
     # on a busy machine a dark frame was once not that of before, so frames with light alone are compared in all
     assert [f for f in rebuilt if f.frame_type != "dark"] == [f for f in first if f.frame_type != "dark"]
-
-
-def test_resuming_a_session_that_still_runs_is_refused_before_its_files_are_looked_at(
-    lab: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(lab / "session", out)
-    for name in ("session.json", "manifest-sha256.txt"):
-        (out / name).unlink()
-    (out / "frames" / "0999_being_written.tiff").write_bytes(b"half of a frame")
-    before = everything(out)
-    with (out / "journal.jsonl").open("rb") as running:
-        fcntl.flock(running, fcntl.LOCK_EX)
-        outcome = finray(f"capture --resume {out}")
-    assert outcome.status == 2
-    assert "journal.jsonl: another capture is writing into this folder; wait until it ends" in outcome.err
-    assert "set aside" not in outcome.out + outcome.err
-    assert everything(out) == before
 
 
 def test_resume_says_what_it_sets_aside(lab: Path, tmp_path: Path) -> None:
