@@ -169,14 +169,16 @@ def test_the_curvature_of_a_sharp_edge_saves_iterations_near_the_equilibrium(fri
     assert pressed.force_n == pytest.approx(plain.force_n, abs=near_rel * plain.force_n[-1, 1])
 
 
-def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway):
-    start = _first_on_coarse(to_depth(1.0), PressSettings("medium", 2), Watch(None, 2))
+def test_a_finer_press_starts_from_the_first_increment_on_the_coarse_mesh(halfway, tmp_path):
+    start = _first_on_coarse(to_depth(1.0), PressSettings("medium", 2), tmp_path, Watch(None, 2))
     assert start.depth_mm == pytest.approx([0.5])
     assert start.force_n[0] == pytest.approx(halfway.force_n[0], abs=1e-5)
-    assert _first_on_coarse(to_depth(1.0), PressSettings("coarse", 2), Watch(None, 2)) is None
-    assert _first_on_coarse(to_depth(1.0), PressSettings("medium", 2, contact="barrier"), Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(1.0), PressSettings("coarse", 2), tmp_path, Watch(None, 2)) is None
+    assert (
+        _first_on_coarse(to_depth(1.0), PressSettings("medium", 2, contact="barrier"), tmp_path, Watch(None, 2)) is None
+    )
     # a coarse press that fails costs the finer one its start, no more
-    assert _first_on_coarse(to_depth(0.0), PressSettings("medium", 2), Watch(None, 2)) is None
+    assert _first_on_coarse(to_depth(0.0), PressSettings("medium", 2), tmp_path, Watch(None, 2)) is None
 
 
 def test_a_stored_increment_must_fit(halfway):
