@@ -253,8 +253,9 @@ def find_contact_circle(capture: TactileCapture, largest_radius_px: float | None
             f"{capture.name}: no contact circle of {SMALLEST_RADIUS_PX:g} px or more fits; give the circle with "
             "--circles"
         )
-    smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest_radius_px if largest_radius_px else 0.0)
-    side = -(-max(contact.shape[:2]) // LARGEST_SEARCHED_PX)
+    smallest = max(SMALLEST_RADIUS_PX, 0.3 * largest if largest_radius_px else 0.0)
+    # in blocks, too, the largest circle is at least twice the smallest one that the search can see
+    side = min(-(-max(contact.shape[:2]) // LARGEST_SEARCHED_PX), max(1, int(largest // (2.0 * SMALLEST_RADIUS_PX))))
     small = [_in_blocks(image, side) for image in (contact, no_contact)]
     # the smallest circle of a large picture is large in itself: SMALLEST_RADIUS_PX are those that are looked at
     found = _searched(small[0], small[1], max(smallest / side, SMALLEST_RADIUS_PX), largest / side)

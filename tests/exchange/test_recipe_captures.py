@@ -566,6 +566,28 @@ def test_a_circle_in_a_large_picture_is_found_in_small_ones(factor, monkeypatch)
     assert np.hypot((found.row_px + 0.5) / factor - row, (found.column_px + 0.5) / factor - column) < 0.2 * CONTACT_PX
 
 
+@pytest.mark.parametrize(
+    ("shape", "radius_px", "ball_px"), [((240, 320), 60.0, 300.0), ((240, 320), 70.0, 270.0), ((720, 1300), 15.0, 25.0)]
+)
+def test_the_circle_of_a_ball_is_found_that_is_large_or_small_in_its_picture(shape, radius_px, ball_px):
+    """Of more than the picture's height; and of so few pixels that blocks of three would show too few of them."""
+    rng, (row, column) = np.random.default_rng(1), (shape[0] / 2.0, shape[1] / 2.0 + 20.0)
+    y, x = np.indices(shape)
+    slopes = np.stack([x - column, column - x, y - row], axis=-1) / ball_px
+    tilted = 0.8 * np.where(np.hypot(x - column, y - row)[..., None] < radius_px, slopes, 0.0)
+    images = [120.0 * (1.0 + change) + rng.normal(0.0, 1.0, (*shape, 3)) for change in (tilted, 0.0)]
+    capture = TactileCapture(
+        name="ball", contact=np.rint(images[0]).astype(np.uint16), no_contact=np.rint(images[1]).astype(np.uint16),
+        repeat_no_contact=None, layout="RGB", encoding="unknown", bit_depth=8, black_level_dn=0.0, exposure_s=None,
+        light_angle_deg=None, indenter=IndenterPose(shape="ball", radius_mm=None, depth_mm=None, position_mm=None),
+        contact_circle=None, mm_per_px=None, source="closed form",
+    )  # fmt: skip
+    found = find_contact_circle(capture, ball_px).circle
+    # as near as in the other tests; a rim that is smoothed over some pixels ends outside so small a circle
+    assert np.hypot(found.row_px - row, found.column_px - column) < 0.2 * radius_px
+    assert abs(found.radius_px - radius_px) < max(0.2 * radius_px, 8.0)
+
+
 @pytest.mark.parametrize("made", ["white noise", "JPEG", "no noise"])
 def test_a_picture_without_contact_has_no_circle(made):
     """Two pictures of one scene that differ by their noise alone; 20 of each kind, none with a circle."""
