@@ -3,8 +3,8 @@ r"""Moduli with which finite elements give the force over push that a bench meas
 .. math:: F_i = e^{s} F(d_i - d_0; \theta) + b_0 + b_1 t_i + \epsilon_i, \qquad \epsilon_i \sim N(0, \sigma^2 + u_i^2)
 
 theta are logarithms of moduli. Nuisances of each curve: the first touch d_0, the zero of the load cell b_0, its drift
-b_1 over the curve (t from 0 to 1), the noise sigma, and a factor e^s by which the computed force may be wrong (mesh,
-dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose diagnostics show whether
+b_1 over the curve (t from 0 to 1) and the noise sigma; of each specimen: a factor e^s by which its computed force may
+be wrong (mesh, dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose diagnostics show whether
 to trust it. F is tabulated by the elements with its derivatives; between the tabulated moduli cubics meet both.
 
 The prior of the gel's C10 is even in its logarithm over all gels, and so is that of K/mu: how much narrower the
@@ -202,12 +202,16 @@ def _cubic(nodes: Floats, values: Floats, slopes: Floats, at: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """Curves, their models and the prior; parameters: moduli, then of each curve first touch, ln noise and scale."""
+    """Curves, their models and the prior.
+
+    Parameters: moduli, then of each curve first touch and ln noise, then of each specimen the scale.
+    """
 
     curves: tuple[MeasuredForce, ...]
     models: tuple[ForceModel, ...]
     prior: Prior
     fields: tuple[str, ...]
+    specimens: tuple[str, ...]
 
     def moduli_of(self, model: ForceModel, theta: Floats) -> Floats:
         """Return the columns of the moduli that a specimen has."""
@@ -215,8 +219,10 @@ class _Problem:
 
     def nuisances(self, curve: int, theta: Floats) -> Floats:
         """Return first touch, ln noise and scale of a curve, (m, 3)."""
-        first = len(self.fields) + 3 * curve
-        return theta[:, first : first + 3]
+        first = len(self.fields) + 2 * curve
+        # the scale is an error of the specimen, which its repeated presses share
+        scale = len(self.fields) + 2 * len(self.curves) + self.specimens.index(self.models[curve].name)
+        return theta[:, [first, first + 1, scale]]
 
     def forces_n(self, curve: int, theta: Floats) -> Floats:
         """Return the forces that the model says at a curve's points, (m, n)."""
@@ -240,9 +246,7 @@ class _Problem:
     def _log_likelihood(self, curve: int, theta: Floats) -> Floats:
         measured = self.curves[curve]
         residual = measured.force_n - self.forces_n(curve, theta)
-        noise = np.exp(self.nuisances(curve, theta)[:, 1])[:, None]
-        stated = np.zeros_like(measured.force_n) if measured.u_force_n is None else measured.u_force_n
-        weight = 1.0 / (noise**2 + stated**2)
+        weight = 1.0 / self.variance_n2(curve, theta)
         design, precision = _drift(measured)
         # Woodbury: the covariance is diagonal plus zero and drift
         inner = np.einsum("na,mn,nb->mab", design, weight, design) + np.diag(precision)
@@ -252,11 +256,17 @@ class _Problem:
         ln_det = -np.log(weight).sum(axis=1) + np.linalg.slogdet(inner)[1] - np.log(precision).sum()
         return np.asarray(-0.5 * (quadratic + ln_det + residual.shape[1] * math.log(2.0 * math.pi)))
 
+    def variance_n2(self, curve: int, theta: Floats) -> Floats:
+        """Return the variance of each point, of the noise and of its stated uncertainty, (m, n)."""
+        measured = self.curves[curve]
+        stated = np.zeros_like(measured.force_n) if measured.u_force_n is None else measured.u_force_n
+        return np.asarray(np.exp(2.0 * self.nuisances(curve, theta)[:, 1])[:, None] + stated**2)
+
     def with_drift_n(self, curve: int, theta: Floats) -> Floats:
         """Return the forces (m, n) with the zero and drift that fit best."""
         measured, model = self.curves[curve], self.forces_n(curve, theta)
         residual = measured.force_n - model
-        weight = 1.0 / np.exp(2.0 * self.nuisances(curve, theta)[:, 1])[:, None] * np.ones_like(residual)
+        weight = 1.0 / self.variance_n2(curve, theta)
         design, precision = _drift(measured)
         inner = np.einsum("na,mn,nb->mab", design, weight, design) + np.diag(precision)
         right = np.einsum("na,mn->ma", design, weight * residual)
@@ -279,16 +289,19 @@ def _problem(curves: Sequence[MeasuredForce], models: Sequence[ForceModel]) -> _
     rows = [_even("ln " + GEL, *GEL_RANGE_MPA), _even("ln " + BULK, *BULK_RANGE)]
     for field, (value, u_rel) in others.items():
         rows.append((f"ln {field}", math.log(value), math.sqrt(math.log1p(u_rel**2)), -np.inf, np.inf))
-    for curve, model in zip(curves, models, strict=True):
+    for curve in curves:
         size, largest = float(np.ptp(curve.displacement_mm)), float(curve.force_n.max())
         reach = _TOUCH_RANGE_REL * size
         rows.append(("first touch", 0.0, _TOUCH_SD_REL * size, -reach, reach))
         low, high = (math.log(limit * largest) for limit in _NOISE_RANGE_REL)
         rows.append(("ln noise", math.log(_NOISE_REL * largest), _NOISE_LN_SD, low, high))
-        rows.append(("scale", 0.0, model.scale_u_rel, -np.inf, np.inf))
+    specimens = tuple(dict.fromkeys(model.name for model in models))
+    for name in specimens:
+        scale_u_rel = max(model.scale_u_rel for model in models if model.name == name)
+        rows.append(("scale", 0.0, scale_u_rel, -np.inf, np.inf))
     names, mean, sd, low_, high_ = zip(*rows, strict=True)
     prior = Prior(names, np.array(mean), np.array(sd), np.array(low_), np.array(high_), names)
-    return _Problem(tuple(curves), tuple(models), prior, (GEL, BULK, *others))
+    return _Problem(tuple(curves), tuple(models), prior, (GEL, BULK, *others), specimens)
 
 
 def _even(name: str, low: float, high: float) -> tuple[str, float, float, float, float]:
@@ -307,7 +320,7 @@ def fit_material(
     curves
         Loading curves.
     models
-        The specimen of each.
+        The specimen of each; models of one name are of one specimen.
     rng
         Source of all randomness.
     name
@@ -465,7 +478,7 @@ def _curve(problem: _Problem, number: int, draws: Floats, rng: np.random.Generat
     measured = problem.curves[number]
     touch, ln_noise, scale = problem.nuisances(number, draws).T
     forces = problem.with_drift_n(number, draws)
-    again = forces + np.exp(ln_noise)[:, None] * rng.standard_normal(forces.shape)
+    again = forces + np.sqrt(problem.variance_n2(number, draws)) * rng.standard_normal(forces.shape)
     middle = np.median(forces, axis=0)
     low, high = np.quantile(again, (0.025, 0.975), axis=0)
     return FittedForceCurve(

@@ -1,5 +1,7 @@
 """Moduli by force curves: hidden ones in closed form, what a curve cannot tell, and intervals that hold the truth."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,45 @@ def test_intervals_hold_hidden_moduli(models):
         held += fit.moduli[0].posterior.low95 < c10 < fit.moduli[0].posterior.high95
     # of 24 at 95 %, fewer than 19 are held in one of 800 runs
     assert held >= 19
+
+
+def proportional_model(scale_u_rel=0.02):
+    """A specimen whose force is 20 N/mm times C10 in MPa, and does not depend on K/mu."""
+    depth = np.linspace(0.25, 2.0, 5)
+    ln_force = np.log(10.0 * depth)
+    return ForceModel(
+        "block", depth, np.array([0.5]), ln_force[None], np.ones((1, 5)), np.array([10.0, 10_000.0]),
+        np.stack([ln_force, ln_force]), np.zeros((2, 5)), BULK, scale_u_rel=scale_u_rel,
+    )  # fmt: skip
+
+
+def proportional_curve(rng, u_n, stated=True, scale=1.0):
+    at = np.linspace(0.05, 2.0, 60)
+    force = scale * 20.0 * C10_MPA * at + u_n * rng.standard_normal(60)
+    return MeasuredForce("c.csv", at, force, np.full(60, u_n) if stated else None)
+
+
+def test_the_band_of_a_point_that_is_measured_again_holds_its_stated_uncertainty():
+    for seed in range(3):
+        rng, u_n = np.random.default_rng(seed), 0.1
+        fit = fit_material([proportional_curve(rng, u_n)], [proportional_model()], rng).curves[0]
+        again = 20.0 * C10_MPA * fit.displacement_mm + u_n * rng.standard_normal((200, 60))
+        held = ((again > fit.low95_n) & (again < fit.high95_n)).mean()
+        # 95 %, and a little more where the fit leaves room for noise beside what is stated
+        assert 0.92 < held < 0.99
+
+
+def test_repeated_presses_of_one_specimen_share_the_error_of_its_computed_force():
+    rng = np.random.default_rng(2)
+    curves = [proportional_curve(rng, 0.005, stated=False) for _ in range(3)]
+    model, other = proportional_model(), dataclasses.replace(proportional_model(), name="another block")
+    one, three = (fit_material(c, [model] * len(c), rng).moduli[0].posterior for c in (curves[:1], curves))
+    # C10 is known to no less than the 2 % of the scale, however many presses of the block there are
+    assert one.sd / one.estimate > 0.018
+    assert three.sd / three.estimate > 0.018
+    two_blocks = fit_material(curves[:2], [model, other], rng).moduli[0].posterior
+    # of two blocks it is the mean of two errors: 2 % over the root of 2, and the first touches besides
+    assert two_blocks.sd / two_blocks.estimate < 0.018
 
 
 def curve_of_a_finger(gel, skeleton, depth):
