@@ -620,7 +620,7 @@ def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[Cause
         sigma = float(np.sign(theta[0]) * np.sqrt(abs(theta[0])))
         values, spread = np.array([px * sigma]), np.array([px * u[0] / max(2.0 * abs(sigma), 1e-3)])
     elif cause in ("size", "gain", "shading"):
-        values = np.expm1(theta)
+        values, spread = np.expm1(theta), np.exp(theta) * u
     return tuple(
         CauseParameter(name=name, unit=unit, value=float(v), u=float(s))
         for (name, unit), v, s in zip(_PARAMETERS[cause], values, spread, strict=True)
@@ -630,7 +630,7 @@ def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[Cause
 def _advice(cause: Cause, theta: Floats, px: float) -> str:
     """Return what to do about a cause, with its size."""
     first = float(theta[0])
-    more, share = ("more", "weaker") if first > 0.0 else ("less", "stronger"), f"{100 * abs(first):.0f} %"
+    share, stronger = f"{100 * abs(first):.0f} %", "stronger" if first > 0.0 else "weaker"
     if cause == "pose":
         dx, dy = px * theta
         return (
@@ -639,12 +639,12 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
             "of the press"
         )
     if cause == "size":
-        large = "larger" if first > 0.0 else "smaller"
-        return f"the contact is {share} {large} than simulated: check the indenter's size, the depth and the scale"
+        share = f"{100 * abs(np.expm1(first)):.0f} % {'larger' if first > 0.0 else 'smaller'}"
+        return f"the contact is {share} than simulated: check the indenter's size, the depth and the scale"
     if cause == "depth":
         return (
-            f"the change by contact is {share} {share and more[1]} in the simulation than in the capture: check the "
-            "depth of the press, and the contrast of the lights"
+            f"the change by contact is {share} {stronger} than simulated: check the depth of the press, and the "
+            "contrast of the lights"
         )
     if cause == "gain":
         worst = float(theta[int(np.abs(theta).argmax())])
@@ -655,7 +655,7 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
         )
     if cause == "shading":
         return (
-            f"the change of light across the picture differs by up to {100 * float(np.abs(theta).max()):.1f} % from "
+            f"the change of light across the picture differs by up to {100 * np.abs(np.expm1(theta)).max():.1f} % from "
             "the simulation: check how the light falls off with distance, and let the lights warm up"
         )
     if cause == "blur":
@@ -665,6 +665,6 @@ def _advice(cause: Cause, theta: Floats, px: float) -> str:
             return f"the capture is {sigma:.2g} px more blurred than the simulation: {what}"
         return f"the simulation is {sigma:.2g} px more blurred than the capture: blur less, or render on a finer mesh"
     return (
-        f"the change around the contact, where the gel bulges, is {share} {'stronger' if first > 0.0 else 'weaker'} "
-        "than simulated: use finite elements, not a rigid shape or a table of other presses; if you do, check the gel"
+        f"the change around the contact, where the gel bulges, is {share} {stronger} than simulated: use finite "
+        "elements, not a rigid shape or a table of other presses; if you do, check the gel"
     )

@@ -9,7 +9,7 @@ import pytest
 from data_schemas import ErrorAttribution
 from finray_calib.compare import Region, contact_regions
 from finray_calib.compare._comparison import prepare_comparison
-from finray_calib.compare._error_attribution import CAUSES, _explained, attribute_error
+from finray_calib.compare._error_attribution import CAUSES, _advice, _explained, _in_pixels, attribute_error
 from finray_calib.compare._image_noise import NO_NOISE
 from finray_calib.compare._region_sums import Captured, RenderLayers
 from tests.compare.three_lights import dent_slopes, shaded
@@ -153,6 +153,26 @@ def test_the_parts_add_up_and_maps_are_those_of_the_image():
     alone = {cause.cause: cause.skill_regained for cause in found.causes}
     assert alone["pose"] > 0.0
     assert "correct the circle (--circles)" in found.causes[[c.cause for c in found.causes].index("pose")].advice
+
+
+@pytest.mark.parametrize(
+    ("cause", "theta", "size", "told"),
+    [
+        ("depth", 0.25, 0.25, "the change by contact is 25 % stronger than simulated"),
+        ("depth", -0.25, -0.25, "the change by contact is 25 % weaker than simulated"),
+        ("size", np.log(1.3), 0.3, "the contact is 30 % larger than simulated"),
+        ("size", np.log(0.7), -0.3, "the contact is 30 % smaller than simulated"),
+        ("halo", -0.4, -0.4, "is 40 % weaker than simulated"),
+    ],
+)
+def test_the_advice_names_the_size_of_a_cause_against_the_simulation(cause, theta, size, told):
+    """As the record has it: the capture over the simulation, less 1; its u is 1 % of the fitted number."""
+    (found,) = _in_pixels(cause, np.array([theta]), np.array([0.01]), 1.0)
+    assert found.value == pytest.approx(size)
+    step = 1e-6
+    by_log = (np.exp(theta + step) - np.exp(theta - step)) / (2.0 * step) if cause == "size" else 1.0
+    assert found.u == pytest.approx(0.01 * by_log)
+    assert told in _advice(cause, np.array([theta]), 1.0)
 
 
 def test_noise_alone_has_no_cause_and_clipped_light_is_saturation():
