@@ -157,7 +157,8 @@ _RESAMPLED: Final = 400
 
 def _fitted(inputs: Floats, values: Floats, rng: np.random.Generator) -> tuple[Orders, Floats, Floats, float]:
     """Return orders, mean and draws of the coefficients, and the share of the variance that is not predicted."""
-    centre, scale = float(values.mean()), float(values.std())
+    # values that the runs left out alone make different are all equal here
+    centre, scale = float(values.mean()), float(values.std()) or 1.0
     standard = (values - centre) / scale
     candidates = [_orders(inputs.shape[1], highest) for highest in _HIGHEST_ORDERS]
     tried = [

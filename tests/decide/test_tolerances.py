@@ -147,3 +147,12 @@ def test_draws_of_an_emulator_of_few_noisy_runs_are_as_wide_as_the_runs():
         y = 0.6 * x[:, 0] + 0.4 * np.abs(x[:, 1]) + 0.3 * x[:, 2] * x[:, 3] + 0.25 * rng.standard_normal(128)
         emulator = fit_chaos(x, y, seed)
         assert emulator.predict_draws(x[:50]).std(axis=0).max() < y.std()
+
+
+def test_a_result_that_one_run_alone_changes_is_not_predicted():
+    runs = 2.0 * qmc.Sobol(2, rng=np.random.default_rng(1)).random(32) - 1.0
+    emulator = fit_chaos(runs, np.where(np.arange(32) == 5, 0.03, 0.0))
+    # the fold without that run sees equal values, and predicts them: it leaves the whole variance
+    assert emulator.q2 <= 0.05
+    assert np.isfinite(emulator.draws).all()
+    assert not sobol_indices(emulator).distinguishable.any()
