@@ -470,17 +470,21 @@ def powers_sentence(record: LightPowers) -> str:
         )
     told = ", ".join(f"{row.light} at {row.power_rel:.3g}" for row in record.rows[:_MOST_NAMED])
     more = f" and {len(record.rows) - _MOST_NAMED} more as listed" if len(record.rows) > _MOST_NAMED else ""
+    may_stay = record.total_rel >= 1.0 and all(row.least_rel <= row.now_rel <= row.most_rel for row in record.rows)
+    if gain.high95 <= _NO_GAIN and may_stay:
+        return (
+            "No powers within the limits light the pad more evenly: keep the present powers. The brightness of the "
+            f"coat then varies by {100 * now.estimate:.0f} % over the pad."
+        )
     if gain.high95 <= _NO_GAIN:
         sentence = (
-            f"No powers within the limits light the pad more evenly: keep {told}{more}. The brightness of the coat "
-            f"then varies by {100 * then.estimate:.0f} % over the pad."
+            "No powers within the limits light the pad more evenly than the present powers, which are outside the "
+            f"limits. The most even powers within them are {told}{more}: the brightness of the coat then varies by "
+            f"{100 * then.estimate:.0f} % over the pad."
         )
     else:
-        lead = (
-            "Set"
-            if gain.low95 > 0.0
-            else "No gain is certain, so the powers may stay as they are. The most even powers are"
-        )
+        stay = ", so the powers may stay as they are" if may_stay else ""
+        lead = "Set" if gain.low95 > 0.0 else f"No gain is certain{stay}. The most even powers are"
         sentence = (
             f"{lead} {told}{more}: the brightness of the coat then varies by {100 * then.estimate:.0f} % over the pad "
             f"in place of {100 * now.estimate:.0f} %, {100 * gain.estimate:.0f} % less ({100 * gain.low95:.0f} to "

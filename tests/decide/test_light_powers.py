@@ -162,3 +162,21 @@ def test_a_gain_that_is_not_certain_is_no_advice_to_change_powers(low95, begins)
     rows = record.rows if len(record.rows) > 1 else record.rows * 2
     gain = record.gain_rel.model_copy(update={"low95": low95, "high95": 0.3})
     assert powers_sentence(record.model_copy(update={"rows": rows, "gain_rel": gain})).startswith(begins)
+
+
+def test_where_nothing_is_gained_the_present_powers_are_kept():
+    file = Path(__file__).resolve().parents[1] / "schemas/frozen/LightPowers/v1/example.json"
+    record = read_record(file, LightPowers)
+    # lights that light alike: one of them at full power is as even as both
+    rows = tuple(
+        record.rows[0].model_copy(update={"light": f"LED {k}", "now_rel": 1.0, "power_rel": power, "least_rel": 0.0,
+                                          "most_rel": 1.0})
+        for k, power in enumerate((1.0, 0.0))
+    )  # fmt: skip
+    gain = record.gain_rel.model_copy(update={"low95": 0.0, "high95": 0.0})
+    alike = record.model_copy(update={"rows": rows, "gain_rel": gain, "total_rel": 1.0})
+    assert powers_sentence(alike).startswith("No powers within the limits light the pad more evenly: keep the present ")
+    assert "at 0" not in powers_sentence(alike)
+    # less light than now is asked for, so that the present powers cannot be kept
+    less = powers_sentence(alike.model_copy(update={"total_rel": 0.5}))
+    assert "than the present powers, which are outside the limits. The most even powers within them are LED 0 " in less
