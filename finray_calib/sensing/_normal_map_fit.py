@@ -150,7 +150,7 @@ class DepthErrors:
 
 FOLDS: Final = 6
 """A map of five sixths of the presses is nearly that of all; one of half of them is off several times as far."""
-#: Side of the window that is integrated around a contact, in its radii.
+#: How far from the middle of a contact its depth is integrated, in its radii.
 _WINDOW_REL = 3.0
 # the rim of a circle, in radii: sensed heights count from the mean over it
 _RIM_REL = (0.9, 1.0)
@@ -159,7 +159,7 @@ _RIM_REL = (0.9, 1.0)
 def depth_errors(presses: Sequence[CalibrationPress], mm_per_px: float, seed: int) -> DepthErrors:
     """Sense each press by a map of five sixths of the others, and compare its depth to that of the ball.
 
-    The depth is integrated over a window of three radii. Inside the circle the true depth is that of the ball's cap.
+    The depth is integrated up to three radii from the middle. In the circle the true depth is that of the ball's cap.
     The errors are the rms difference after a constant is taken out, and the relative error of the height from the rim
     to the middle. The level is the mean depth 2.5 to 3.5 radii away, where the gel is taken as flat, counted from the
     picture's frame.
@@ -207,9 +207,7 @@ def _depth_error(taught: NormalMap, press: CalibrationPress, mm_per_px: float) -
     """Return the errors (pixels,) of the depth in a circle, mm, and the relative error of its height."""
     slopes = taught.slopes(press.contact, press.no_contact)
     rows, columns = np.indices(slopes.shape[:2], dtype=np.float64)
-    window = (np.abs(rows - press.row_px) <= _WINDOW_REL * press.radius_px) & (
-        np.abs(columns - press.column_px) <= _WINDOW_REL * press.radius_px
-    )
+    window = np.maximum(np.abs(rows - press.row_px), np.abs(columns - press.column_px)) <= _WINDOW_REL * press.radius_px
     inside = np.ix_(window.any(axis=1), window.any(axis=0))
     usable: Mask = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
     depth = poisson_depth_mm(filled_slopes(slopes)[inside], mm_per_px)
@@ -263,6 +261,11 @@ def _lesson(press: CalibrationPress, name: str, shape: tuple[int, ...], rng: np.
             f"{name}: the contact circle of {press.radius_px:g} px around row {press.row_px:g}, column "
             f"{press.column_px:g} has no usable pixel in a picture of {shape[1]} x {shape[0]} px; check the circle "
             "and the exposure"
+        )
+    if not (-0.5 <= press.row_px <= shape[0] - 0.5 and -0.5 <= press.column_px <= shape[1] - 0.5):
+        raise CompareError(
+            f"{name}: the middle of the contact circle, row {press.row_px:g}, column {press.column_px:g}, lies outside "
+            f"the picture of {shape[1]} x {shape[0]} px; correct the circle, or leave the press out"
         )
     chosen = np.concatenate([inside, _choose(finite & (radii >= _FLAT_FROM_REL), rng)])
     change = relative_change(press.contact, press.no_contact).reshape(-1, 3)[chosen]
@@ -325,8 +328,7 @@ def normal_map_record(captures: Sequence[TactileCapture], name: str, seed: int) 
         When captures lack what is needed, do not belong together, or are too few.
     """
     presses = [calibration_press(capture) for capture in captures]
-    if captures:
-        _check_together(captures)
+    _check_together(captures)
     fitted = fit_normal_map(presses, seed)
     score = held_out_score(presses, seed)
     first = captures[0]
@@ -452,7 +454,6 @@ def _cell_px(capture: TactileCapture) -> int:
 
 def _check_together(captures: Sequence[TactileCapture]) -> None:
     """Refuse captures of different cameras or settings, and a press that is given twice."""
-    first = captures[0]
     name_of: dict[str, str] = {}
     for capture in captures:
         digest = contact_sha256(capture)
@@ -464,16 +465,16 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
         name_of[digest] = capture.name
     for capture in captures[1:]:
         for field in ("encoding", "layout", "bit_depth"):
-            one, other = getattr(first, field), getattr(capture, field)
+            one, other = getattr(captures[0], field), getattr(capture, field)
             if one != other:
                 raise CompareError(
-                    f"{capture.name} has {field} {other}, but {first.name} has {one}; train a normal map only on "
+                    f"{capture.name} has {field} {other}, but {captures[0].name} has {one}; train a normal map only on "
                     "captures of one camera with one setting"
                 )
-        if not np.isclose(_scale_mm(capture), _scale_mm(first), rtol=_SAME_SCALE_REL, atol=0.0):
+        if not np.isclose(_scale_mm(capture), _scale_mm(captures[0]), rtol=_SAME_SCALE_REL, atol=0.0):
             raise CompareError(
-                f"{capture.name} has {_scale_mm(capture):g} mm per px, but {first.name} has {_scale_mm(first):g} mm "
-                "per px; train a normal map only on captures of one camera at one distance"
+                f"{capture.name} has {_scale_mm(capture):g} mm per px, but {captures[0].name} has "
+                f"{_scale_mm(captures[0]):g} mm per px; train a normal map only on captures of one camera at one distance"
             )
 
 
@@ -491,7 +492,8 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
 
     The depth is the least-squares integral of the slopes and counts from its median over the frame of the picture.
     Its uncertainties are root mean squares over the presses that taught it, each sensed by a map of others of them, so
-    they hold for shapes, places and depths like theirs; the error of the level from which depths count is in them.
+    they hold for shapes, places and depths like theirs. The error of the level from which depths count is in them, that
+    of the scale in that of the largest depth alone.
 
     Parameters
     ----------
@@ -512,7 +514,7 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
     contact, no_contact = (rgb_image(counts, capture) for counts in (capture.contact, capture.no_contact))
     senses, level = normal_map_of(record), mean_level(no_contact)
     slopes = senses.slopes(contact, no_contact, level)
-    usable: NDArray[np.bool_] = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
+    usable = np.asarray(np.isfinite(slopes).all(axis=-1), dtype=np.bool_)
     whole = filled_slopes(slopes)
     depth = poisson_depth_mm(whole, record.mm_per_px)
     depth -= float(np.median(depth[frame_of(depth.shape)]))
@@ -525,11 +527,12 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
             "images are of one session"
         )
     chosen = _contact_level_mm(contact_depth_mm, deepest, u_mm or 0.0)
-    touched: NDArray[np.bool_] = np.asarray(depth > chosen, dtype=np.bool_)
+    touched = depth > chosen
     change = relative_change(contact, no_contact, level)
-    beyond = ((change < senses.low) | (change > senses.high)).any(axis=-1)
-    known: NDArray[np.bool_] = touched & usable
-    found = _Shares(_share(np.asarray(beyond, dtype=np.bool_), known) if known.any() else 1.0, _share(~usable, touched))
+    beyond = np.asarray(((change < senses.low) | (change > senses.high)).any(axis=-1), dtype=np.bool_)
+    known = touched & usable
+    outside = float(beyond[known].mean()) if known.any() else 1.0
+    clipped = 1.0 - float(usable[touched].mean())
     taught = contact_sha256(capture) in record.training_sha256 if record.training_sha256 else None
     normal = np.concatenate([-whole, np.ones((*whole.shape[:2], 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -546,10 +549,10 @@ def sense_press(record: NormalMapRecord, capture: TactileCapture, contact_depth_
         deepest_u_mm=deepest_u_mm,
         contact_area_mm2=float(touched.sum()) * record.mm_per_px**2,
         contact_area_u_mm2=None if u_mm is None else _area_u_mm2(depth, chosen, u_mm, record.mm_per_px),
-        outside_share=found.outside_share,
-        clipped_share=found.clipped_share,
+        outside_share=outside,
+        clipped_share=clipped,
         is_of_teaching=taught,
-        notes=_notes(record, capture, found, taught),
+        notes=_notes(record, capture, outside, clipped, taught),
     )
 
 
@@ -565,29 +568,19 @@ def _contact_level_mm(asked_mm: float | None, deepest_mm: float, u_mm: float) ->
     return asked_mm
 
 
-@dataclass(frozen=True, slots=True)
-class _Shares:
-    """Shares of the contact's pixels that the map does not know, and that are clipped."""
-
-    outside_share: float
-    clipped_share: float
-
-
-def _share(which: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
-    """Return the share of one set of pixels in another."""
-    return float(which[of].mean())
-
-
 def _uncertainties(record: NormalMapRecord, depth: Floats, deepest_mm: float) -> tuple[float | None, float | None]:
     """Return u of the depth at a pixel and of the largest depth, mm: of presses that did not teach, with the level.
 
-    The level is as far off as around those presses, or as the frame of this picture scatters, whichever is more.
+    The level is as far off as around those presses, or as the frame of this picture scatters, whichever is more. The
+    largest depth goes as the square of the scale: as the step of the integration and as the ball's size in pixels.
     """
     rms, height, levels = record.held_out_depth_rms_mm, record.held_out_height_error_rel, record.held_out_level_mm
     level_mm = max(_frame_scatter_mm(depth), 0.0 if levels is None else float(np.sqrt(np.mean(levels**2))))
     of_pixel = None if rms is None else float(np.sqrt(np.mean(rms**2) + level_mm**2))
-    of_deepest = None if height is None else float(np.sqrt(np.mean(height**2) * deepest_mm**2 + level_mm**2))
-    return of_pixel, of_deepest
+    if height is None:
+        return of_pixel, None
+    height_rel2 = np.mean(height**2) + (2.0 * (record.mm_per_px_u_rel or 0.0)) ** 2
+    return of_pixel, float(np.sqrt(height_rel2 * deepest_mm**2 + level_mm**2))
 
 
 def _frame_scatter_mm(depth: Floats) -> float:
@@ -610,8 +603,10 @@ def _area_u_mm2(depth: Floats, level_mm: float, u_mm: float, mm_per_px: float) -
     return 0.5 * abs(counts[0] - counts[1]) * mm_per_px**2
 
 
-def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, taught: bool | None) -> tuple[str, ...]:
-    """Return what a reader must know."""
+def _notes(
+    record: NormalMapRecord, capture: TactileCapture, outside_share: float, clipped_share: float, taught: bool | None
+) -> tuple[str, ...]:
+    """Return what a reader must know; of the contact's pixels, the shares that the map does not know and clipped."""
     notes = []
     if taught:
         notes.append(
@@ -630,20 +625,25 @@ def _notes(record: NormalMapRecord, capture: TactileCapture, shares: _Shares, ta
         )
     if record.held_out_depth_rms_mm is None:
         notes.append("an older version made the map, so the uncertainty of the depth is unknown; train the map again")
-    if shares.outside_share > _OUTSIDE_TOLD:
+    if outside_share > _OUTSIDE_TOLD:
         notes.append(
-            f"{100 * shares.outside_share:.0f} % of the contact's pixels change colour in a way that no training "
-            "press did, and the map keeps its last value there; train with deeper presses, or at more places"
+            f"{100 * outside_share:.0f} % of the contact's pixels change colour in a way that no training press did, "
+            "and the map keeps its last value there; train with deeper presses, or at more places"
         )
-    if shares.clipped_share > _CLIPPED_TOLD:
+    if clipped_share > _CLIPPED_TOLD:
         notes.append(
-            f"{100 * shares.clipped_share:.0f} % of the contact's pixels are clipped and take their slope from their "
+            f"{100 * clipped_share:.0f} % of the contact's pixels are clipped and take their slope from their "
             "neighbours; use a shorter exposure"
         )
     notes.append(
         "depth is measured from the median over the border of the picture, where the gel is assumed to be untouched; "
         "a movement of the gel as a whole is not seen"
     )
+    if record.mm_per_px_u_rel and record.held_out_height_error_rel is not None:
+        notes.append(
+            f"all depths rest on one scale, whose standard uncertainty of {100 * record.mm_per_px_u_rel:.2g} % "
+            "changes them together by twice as much; only the uncertainty of the largest depth includes it"
+        )
     if capture.no_contact_from != "image":
         notes.append(
             f"the image without contact is a substitute ({capture.no_contact_from}), whose errors also change the depth"

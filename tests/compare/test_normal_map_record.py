@@ -7,7 +7,7 @@ from data_schemas import CompareError, ContactCircle, IndenterPose, NormalMapRec
 from data_schemas.storage import read_record, write_record
 from finray_calib.sensing import fit_normal_map, normal_map_of, normal_map_record, require_matching_capture
 from finray_calib.sensing._normal_map_fit import calibration_press
-from tests.compare.three_lights import BALL_PX, ball_presses
+from tests.compare.three_lights import BALL_PX, ball_press, ball_presses
 
 MM_PER_PX = 0.05
 COUNT = 14
@@ -106,6 +106,18 @@ def test_captures_that_do_not_belong_together_are_refused(captures, change, mess
     changed = [captures[0], captures[1].model_copy(update=change), *captures[2:]]
     with pytest.raises(CompareError, match=message):
         normal_map_record(changed, "m", seed=1)
+
+
+def test_a_press_whose_middle_lies_outside_the_picture_is_refused():
+    presses = ball_presses(COUNT)
+    presses[3] = ball_press(-4.0, 40.0, 11.0)
+    beside = [capture_of(press, f"press {k}") for k, press in enumerate(presses, start=1)]
+    with pytest.raises(CompareError, match="press 4: the middle of the contact circle, row -4, .* outside the picture"):
+        normal_map_record(beside, "m", seed=1)
+    # half in view is enough
+    presses[3] = ball_press(0.0, 40.0, 11.0)
+    inside = [capture_of(press, f"press {k}") for k, press in enumerate(presses, start=1)]
+    assert np.isfinite(normal_map_record(inside, "m", seed=1).held_out_height_error_rel).all()
 
 
 def test_a_press_that_is_given_twice_is_refused(captures):

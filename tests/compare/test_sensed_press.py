@@ -111,6 +111,22 @@ def test_the_level_of_the_depth_is_in_its_uncertainty(presses, taught):
     assert sensed.depth_u_mm >= sense_press(without, capture_of(presses[30], "q")).depth_u_mm
 
 
+def test_an_unsure_scale_is_in_the_uncertainty_of_the_largest_depth(presses):
+    """Every capture states a scale that is 5 % too large: the depth goes as its square."""
+    found = []
+    for factor, u_rel in ((1.0, None), (1.05, 0.05)):
+        update = {"mm_per_px": factor * MM_PER_PX, "mm_per_px_u_rel": u_rel}
+        captures = [capture_of(p, f"p{k}").model_copy(update=update) for k, p in enumerate(presses[:25])]
+        found.append(sense_press(normal_map_record(captures[:24], "map", 1), captures[24]))
+    right, wrong = found
+    off_mm = wrong.deepest_mm - right.deepest_mm
+    assert off_mm == pytest.approx(0.1025 * right.deepest_mm, rel=0.2)  # and the steeper sides of a smaller ball
+    # what is added to the uncertainty is that error, to first order
+    assert np.sqrt(wrong.deepest_u_mm**2 - (1.1 * right.deepest_u_mm) ** 2) == pytest.approx(off_mm, rel=0.2)
+    assert any("whose standard uncertainty of 5 % changes them together by twice as much" in n for n in wrong.notes)
+    assert not any("one scale" in note for note in right.notes)
+
+
 def test_normals_and_contact_are_those_of_the_ball(presses, taught):
     press = presses[30]
     sensed = sense_press(taught, capture_of(press, "q"), contact_depth_mm=0.05)
