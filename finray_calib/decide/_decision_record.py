@@ -182,7 +182,7 @@ def decide(
     first = headline(decision, decided, TOLERANCE_REL, on.aim)
     then = decision_sentence(decision, captures.angles_deg, TOLERANCE_REL, next_render, next_capture, decided)
     told = [first, *_within(decision, decided), then, *_other_sentences(others, on.aim)]
-    told.append(outside(decided, swept[0].design.indenter, on.aim))
+    told.append(outside(decided, [sweep.design.indenter for sweep in swept], on.aim))
     # over several touches the curve is a share of the best
     scale = float(swept[0].values.mean()) if len(on.contacts) == 1 else 1.0
     return LightAngleDecision(
@@ -487,15 +487,15 @@ def span_of(contacts: Sequence[DecidedContact]) -> str:
     return f"{len(contacts)} touches {along}"
 
 
-def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "brightness") -> str:
+def outside(contacts: Sequence[DecidedContact], indenters: Sequence[Indenter], aim: Aim = "brightness") -> str:
     """Return what the decision says nothing about.
 
     Parameters
     ----------
     contacts : sequence of DecidedContact
         What was touched.
-    indenter : Indenter
-        Of the first of them.
+    indenters : sequence of Indenter
+        That touched it.
     aim : str
         What was decided on.
     """
@@ -508,7 +508,9 @@ def outside(contacts: Sequence[DecidedContact], indenter: Indenter, aim: Aim = "
     across = sorted({contact.across_mm for contact in contacts})
     depths = sorted({contact.depth_mm for contact in contacts})
     shapes = sorted({contact.shape for contact in contacts})
-    size = f" of {indenter.radius_mm:g} mm radius" if shapes in (["cylinder"], ["ball"]) else ""
+    radii = sorted({indenter.radius_mm for indenter in indenters})
+    wide = f"{radii[0]:g} mm" if len(radii) == 1 else f"{radii[0]:g} to {radii[-1]:g} mm"
+    size = f" of {wide} radius" if shapes in (["cylinder"], ["ball"]) else ""
     along = f"{places[0]:g} to {places[-1]:g} mm" if len(places) > 1 else f"{places[0]:g} mm"
     away = f"{across[0]:g} to {across[-1]:g} mm" if len(across) > 1 else f"{across[0]:g} mm"
     beside = "on the middle line" if across == [0.0] else f"{away} from the middle line"

@@ -85,14 +85,16 @@ def test_an_angle_at_the_end_of_the_sweep_is_not_to_be_mounted(losses):
 
 
 def test_what_lies_outside_is_said():
-    assert outside(touches(0.0, 0.0), Indenter()) == (
+    assert outside(touches(0.0, 0.0), [Indenter()] * 2) == (
         "The answer holds for touches at 8 to 12 mm along the pad, on the middle line, 1.5 mm deep, by a cylinder of "
         "10 mm radius; "
         "other places, depths and objects were not simulated."
     )
-    assert "along the pad, 3 mm from the middle line, 1.5" in outside(touches(0.0, across_mm=3.0), Indenter())
+    assert "along the pad, 3 mm from the middle line, 1.5" in outside(touches(0.0, across_mm=3.0), [Indenter()])
     wide = [*touches(0.0), *touches(0.0, across_mm=3.0, depth_mm=3.0)]
-    assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, Indenter())
+    assert "at 8 mm along the pad, 0 to 3 mm from the middle line, 1.5 to 3 mm deep" in outside(wide, [Indenter()] * 2)
+    sizes = [Indenter(radius_mm=radius_mm) for radius_mm in (8.0, 4.0)]
+    assert "by a cylinder of 4 to 8 mm radius; other places" in outside(touches(0.0, 0.0), sizes)
 
 
 def test_what_is_assumed_of_the_error_is_what_the_prior_says():
@@ -150,7 +152,7 @@ def test_a_decision_on_the_normal_tells_the_error_and_its_places():
         "12 mm the error of the sensed normal is at most 25 % larger than at that place's best angle, and "
         "14 % on average over them."
     )
-    assert outside(touches(0.0, 0.0), Indenter(), "normal") == (
+    assert outside(touches(0.0, 0.0), [Indenter()], "normal") == (
         "The answer holds for facets of the undeformed pad at 8 to 12 mm, tilted by up to 20 deg; shadows of the "
         "object that is touched are left out."
     )
