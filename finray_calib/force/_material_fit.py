@@ -4,8 +4,9 @@ r"""Moduli with which finite elements give the force over push that a bench meas
 
 theta are logarithms of moduli. Nuisances of each curve: the first touch d_0, the zero of the load cell b_0, its drift
 b_1 over the curve (t from 0 to 1) and the noise sigma; of each specimen: a factor e^s by which its computed force may
-be wrong (mesh, dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose diagnostics show whether
-to trust it. F is tabulated by the elements with its derivatives; between the tabulated moduli cubics meet both.
+be wrong (mesh, dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose
+diagnostics show whether to trust it. F is tabulated by the elements with its derivatives; between the tabulated moduli
+cubics meet both.
 
 The prior of the gel's C10 is even in its logarithm over all gels, and so is that of K/mu: how much narrower the
 posterior is shows how much the curve has measured. The law is neo-Hooke's; a gel of another law has a C10 that depends

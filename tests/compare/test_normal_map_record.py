@@ -112,7 +112,7 @@ def test_a_press_whose_middle_lies_outside_the_picture_is_refused():
     presses = ball_presses(COUNT)
     presses[3] = ball_press(-4.0, 40.0, 11.0)
     beside = [capture_of(press, f"press {k}") for k, press in enumerate(presses, start=1)]
-    with pytest.raises(CompareError, match="press 4: the middle of the contact circle, row -4, .* outside the picture"):
+    with pytest.raises(CompareError, match=r"press 4: the middle of the contact circle, row -4, .* outside the pic"):
         normal_map_record(beside, "m", seed=1)
     # half in view is enough
     presses[3] = ball_press(0.0, 40.0, 11.0)
