@@ -473,8 +473,8 @@ def _check_together(captures: Sequence[TactileCapture]) -> None:
                 )
         if not np.isclose(_scale_mm(capture), _scale_mm(captures[0]), rtol=_SAME_SCALE_REL, atol=0.0):
             raise CompareError(
-                f"{capture.name} has {capture.mm_per_px:g} mm per px, but {captures[0].name} has {captures[0].mm_per_px:g} "
-                "mm per px; train a normal map only on captures of one camera at one distance"
+                f"{capture.name} has {capture.mm_per_px:g} mm per px, but {captures[0].name} has "
+                f"{captures[0].mm_per_px:g} mm per px; train a normal map on captures of one camera at one distance"
             )
 
 
