@@ -11,11 +11,13 @@ Gauss-Newton steps, over pixels up to 3.5 half-widths from the contact that are 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final, Literal, TypeVar, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from data_schemas import CauseParameter, ErrorAttribution, ErrorCause
 from finray_calib.compare._comparison import Comparison
@@ -64,7 +66,8 @@ _TILE_PX: Final = 12
 #: Effects that another cause imitates to this correlation are not told apart by one image.
 _ALIKE: Final = 0.8
 _RIDGE: Final = 1e-9
-_LARGEST: Final = 0.7
+#: Largest step of one pass.
+_LARGEST: Final[Mapping[Cause, float]] = {**dict.fromkeys(CAUSES, 0.7), "pose": 4.0, "blur": 12.0, "size": 0.15}
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +135,9 @@ class _Scene:
         """Return what contact adds, before gain and shading; multiplied by something before it is blurred."""
         change = self.change
         if "pose" in theta or "size" in theta:
-            dx, dy = theta.get("pose", np.zeros(2))
             zoom = float(np.exp(theta["size"][0])) if "size" in theta else 1.0
-            x, y = self.centre_px
-            matrix = np.array([[zoom, 0.0, x + dx - zoom * x], [0.0, zoom, y + dy - zoom * y]])
-            change = self._once("moved", matrix, lambda: _moved(self.change, matrix, self.change.shape[1::-1]))
+            shift = theta.get("pose", np.zeros(2)) + (1.0 - zoom) * np.array(self.centre_px)
+            change = self._once("moved", np.append(shift, zoom), lambda: _moved(self.change, shift, zoom))
         if "depth" in theta:
             change = change * (1.0 + theta["depth"][0])
         if "halo" in theta:
@@ -157,10 +158,17 @@ class _Scene:
         return float(((image * second) @ self.weights)[self.scored].sum())
 
 
-def _moved(change: Floats, matrix: Floats, size: tuple[int, int]) -> Floats:
-    """Return an image on another grid."""
-    moved = cv2.warpAffine(change, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(moved, dtype=np.float64)
+@lru_cache(maxsize=4)
+def _splines(size: int) -> CubicSpline:
+    """Return the cubic splines through each unit vector; OpenCV's cubics move what they interpolate by up to half."""
+    return CubicSpline(np.arange(size), np.eye(size), bc_type="natural")
+
+
+def _moved(change: Floats, shift_px: Floats, zoom: float) -> Floats:
+    """Return an image stretched about its first pixel, then shifted along columns and rows; beyond, its border."""
+    axes = zip(change.shape[1::-1], shift_px, strict=True)
+    along, down = (_splines(n)(np.clip((np.arange(n) - shift) / zoom, 0.0, n - 1.0)) for n, shift in axes)
+    return np.ascontiguousarray(np.einsum("ij,jkc,lk->ilc", down, change, along, optimize=True))
 
 
 def _blurred(change: Floats, variance_px2: float) -> Floats:
@@ -261,7 +269,7 @@ def _scene(comparison: Comparison, distance: Floats, block_px: int, full_scale_d
     place = np.stack([(left + side * x) / columns_all - 0.5, (top + side * y) / rows_all - 0.5], axis=-1)
     return _Scene(
         rest=rest,
-        change=simulated - rest,
+        change=np.nan_to_num(simulated - rest),
         captured=np.nan_to_num(captured),
         outside=np.clip((np.nan_to_num(away, nan=9.0) - 1.0) / 0.1, 0.0, 1.0)[..., None],
         place=place,
@@ -460,7 +468,7 @@ class _Fit:
             at = 0
             for c in chosen:
                 own = slice(at, at := at + len(theta[c]))
-                moves = np.clip(step[own], -_limit(c), _limit(c))
+                moves = np.clip(step[own], -_LARGEST[c], _LARGEST[c])
                 effects[c] = effects[c] + self._effect(c, moves, image, images)
                 theta[c] = theta[c] + moves
                 u[c] = spread[own]
@@ -550,11 +558,6 @@ def _is_small(step: Floats, hessian: Floats, noise: float) -> bool:
     return bool((np.abs(step) <= 0.1 * np.sqrt(noise * np.diag(np.linalg.inv(hessian)))).all())
 
 
-def _limit(cause: Cause) -> float:
-    """Return the largest step of one pass."""
-    return {"pose": 4.0, "blur": 12.0, "size": 0.15}.get(cause, _LARGEST)
-
-
 def _explained(gram: Floats, right: Floats) -> float:
     """Return what columns explain of a residual's sum of squares, by their products with each other and with it."""
     ridge = _RIDGE * np.diag(np.diag(gram)) + 1e-300 * np.eye(len(gram))
@@ -573,7 +576,8 @@ def _attribution(
     theta, effects, u = found
     scene = fit.scene
     left = scene.residual({})
-    signal = _signal(comparison, scene, window)
+    change = np.nan_to_num(window.of(comparison.captured.no_contact)) - scene.captured
+    signal = max(scene.energy(change), 1e-300)
     noise = 0.0
     if not (comparison.sums[-1].noise.error > 0.0).any():  # else it is taken out of the score
         noise = float(variance @ scene.weights) * float(scene.scored.sum()) * window.side_px**2 / signal
@@ -603,12 +607,6 @@ def _attribution(
         remainder_skill=remainder,
         maps=np.stack(maps) if maps else None,
     )
-
-
-def _signal(comparison: Comparison, scene: _Scene, window: _Window) -> float:
-    """Return the change by contact over the scored pixels."""
-    rest = np.nan_to_num(window.of(comparison.captured.no_contact))
-    return max(scene.energy(rest - scene.captured), 1e-300)
 
 
 def _in_pixels(cause: Cause, theta: Floats, u: Floats, px: float) -> tuple[CauseParameter, ...]:

@@ -175,6 +175,18 @@ def test_the_advice_names_the_size_of_a_cause_against_the_simulation(cause, thet
     assert told in _advice(cause, np.array([theta]), 1.0)
 
 
+@pytest.mark.parametrize("move_px", [0.25, 0.5, 0.75])
+def test_a_move_by_less_than_a_pixel_is_found_within_its_uncertainty(move_px):
+    rng = np.random.default_rng(4)
+    rest, contact, distance, _ = scene(rng)
+    found, _ = attributed(contact, rest, rest + warped(contact - rest, move_px), distance, 0.5, rng)
+    (pose,) = (cause for cause in found.causes if cause.cause == "pose")
+    along, down = pose.parameters
+    # 3 u and 0.01 px, by which the two interpolations differ: the fit's own was off by up to 0.1 px
+    assert abs(along.value - move_px) < 3.0 * along.u + 0.01
+    assert abs(down.value) < 3.0 * down.u + 0.01
+
+
 def test_noise_alone_has_no_cause_and_clipped_light_is_saturation():
     rng = np.random.default_rng(5)
     rest, contact, distance, _ = scene(rng)
