@@ -21,6 +21,7 @@ from sim.experiments._painted_finger import COLOURS, PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,
+    NEGLIGIBLE_CONVERSION,
     PlainRender,
     PressRender,
     Progress,
@@ -326,14 +327,28 @@ def _only_lit(sensor: PlainSensor, lit: Sequence[int]) -> PlainSensor:
 
 @dataclass(frozen=True, slots=True)
 class FingerLayers:
-    """A painted finger, one layer for each light panel and chain of fluorescence."""
+    """A painted finger, one layer for each light panel and chain of fluorescence.
+
+    The few percent of chains beyond the second order are part of the layer with the same last two conversions.
+    """
 
     finger: PaintedFinger
     calibrations: Mapping[str, PaintCalibration] = field(default_factory=dict)
     seed: int = 1
     samples: int = 128
     shared_light: bool = False
-    chains: tuple[str, ...] = FIRST_CHAINS
+
+    @property
+    def chains(self) -> tuple[str, ...]:
+        """Chains that have layers: all of first order, those of second order that the paints' absorption allows."""
+        of_walls, led = check_paints(self.design, self.finger.paints).conversion, BAND_NAMES.index("led")
+        second = (
+            f"led>{first}>{wall}"
+            for first in COLOURS
+            for wall, row in of_walls.items()
+            if row[BAND_NAMES.index(first)] > NEGLIGIBLE_CONVERSION * row[led]
+        )
+        return (*FIRST_CHAINS, *second)
 
     @property
     def design(self) -> FingerDesign:
@@ -422,9 +437,19 @@ class FingerLayers:
 
     def _apart(self, render: PressRender, state: str) -> Floats:
         """Return the chains of one state and half the difference of their halves, (2, chain, row, column)."""
-        at = [render.chains.index(chain) for chain in self.chains]
-        both = (getattr(render, f"{state}_{what}")[..., at] for what in ("chains", "half_difference"))
-        return np.stack([np.moveaxis(image.astype(np.float64), -1, 0) for image in both])
+        layers = self.chains
+        into = np.zeros((len(render.chains), len(layers)))
+        for number, chain in enumerate(render.chains):
+            into[number, _layer_of(chain, layers)] = 1.0
+        both = (getattr(render, f"{state}_{what}").astype(np.float64) for what in ("chains", "half_difference"))
+        return np.stack([np.moveaxis(image @ into, -1, 0) for image in both])
+
+
+def _layer_of(chain: str, layers: Sequence[str]) -> int:
+    """Return the number of the layer of a chain; without its own, that with most of its last conversions."""
+    walls = [wall for _, wall in chain_steps(chain)]
+    names = (">".join(["led", *walls[k:]]) for k in range(len(walls) + 1))
+    return next(layers.index(name) for name in names if name in layers)
 
 
 def _finger(design: Design) -> FingerDesign:
