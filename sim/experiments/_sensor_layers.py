@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from scipy.interpolate import RegularGridInterpolator
 
 from data_schemas import CHANNELS, ColouredLight, FingerDesign, LightPanel, PaintCalibration, PlainSensor, SimulateError
@@ -518,9 +518,11 @@ def _powers(design: Design, names: Sequence[str]) -> tuple[FreeParameter, ...]:
 def value_at(design: Any, name: str) -> Any:
     """Return the value at a dotted path, entries of lists by their number; None where a part is absent."""
     for part in name.split("."):
-        if design is None:
-            return None
-        design = design[int(part)] if part.isdecimal() else getattr(design, part, None)
+        if isinstance(design, tuple) and part.isdecimal():
+            design = design[int(part)] if int(part) < len(design) else None
+        else:
+            is_field = isinstance(design, BaseModel) and part in type(design).model_fields
+            design = getattr(design, part) if is_field else None
     return design
 
 
@@ -540,7 +542,7 @@ def with_changed_values(design: D, values: Mapping[str, float]) -> D:
             if isinstance(place, dict) and isinstance(place[part], tuple):
                 place[part] = list(place[part])
             place = place[int(part)] if part.isdecimal() else place[part]
-        place[last] = value
+        place[int(last) if last.isdecimal() else last] = value
     try:
         return cast("D", type(design).model_validate(whole))
     except ValidationError as refused:

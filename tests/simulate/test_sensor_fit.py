@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from data_schemas import FingerDesign, FittedNumber, SensorFit, SimulateError, provenance
+from data_schemas import FingerDesign, FittedNumber, GelPad, SensorFit, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import PictureBlocks, sample_picture_posterior
 from sim.experiments import FingerLayers, fit_sensor, fitted_design, paint_finger
+from sim.experiments._sensor_layers import value_at, with_changed_values
 from sim.optics import RenderSettings, render_press
 from tests.simulate.drawn_sensor import COLUMNS, DESIGN, ROWS, DrawnSensor, captured, formula, hidden_sensor
 
@@ -138,12 +139,25 @@ def test_captures_that_do_not_go_together_are_refused(change, told):
         ("indenter.radius_mm", "only depth_mm and position_mm of the indenter can be fitted"),
         ("camera.width_px", "must be the dotted path of a positive number"),
         ("walls", "must be the dotted path of a positive number"),
+        ("lights.9.width_mm", "must be the dotted path of a positive number"),
+        ("pad.3", "must be the dotted path of a positive number"),
+        ("pad.thickness_mm.real", "must be the dotted path of a positive number"),
     ],
 )
 def test_numbers_that_cannot_be_free_are_refused(name, why):
     _, capture = hidden_sensor(0)
     with pytest.raises(SimulateError, match=f"--free {name}: {why}"):
         fit_sensor(DrawnSensor(), [capture], [name])
+
+
+def test_entries_of_a_place_can_be_free():
+    pad = GelPad(shape="ellipsoidal", length_mm=16.0, width_mm=16.0, thickness_mm=5.0, semi_axes_mm=(16.0, 10.0, 16.0))
+    sensor = DESIGN.model_copy(update={"pad": pad})
+    assert value_at(sensor, "pad.semi_axes_mm.1") == 10.0
+    changed = with_changed_values(sensor, {"pad.semi_axes_mm.1": 11.0})
+    assert changed.pad.semi_axes_mm == (16.0, 11.0, 16.0)
+    assert value_at(FingerDesign(), "lights.0.width_mm") is None  # its panels are light, second_light, further_lights
+    assert value_at(FingerDesign(), "further_lights.0.width_mm") is None
 
 
 def test_pictures_of_another_size_are_refused():
