@@ -11,6 +11,7 @@ from data_schemas import FingerDesign, FittedNumber, GelPad, SensorFit, Simulate
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import PictureBlocks, sample_picture_posterior
 from sim.experiments import FingerLayers, fit_sensor, fitted_design, paint_finger
+from sim.experiments._sensor_fit import captured_pictures
 from sim.experiments._sensor_layers import value_at, with_changed_values
 from sim.optics import RenderSettings, render_press
 from tests.simulate.drawn_sensor import COLUMNS, DESIGN, ROWS, DrawnSensor, captured, formula, hidden_sensor
@@ -165,6 +166,20 @@ def test_pictures_of_another_size_are_refused():
     capture = captured(np.stack([pictures, pictures]), np.random.default_rng(1))
     with pytest.raises(SimulateError, match=r"renders 64 x 48 px, but hidden has 32 x 24 px"):
         fit_sensor(DrawnSensor(), [capture], FREE)
+
+
+def test_a_picture_without_contact_that_captures_share_counts_once():
+    """Captures of a data set may share one: its noise does not average out."""
+    _, first = hidden_sensor(0)
+    _, second = hidden_sensor(1)
+    shared = second.model_copy(update={"name": "shared", "no_contact": first.no_contact})
+    picture, variance = (of_all[0] for of_all in captured_pictures([first]))
+    same, known = (of_all[0] for of_all in captured_pictures([first, shared]))
+    np.testing.assert_array_equal(same, picture)
+    # the noise of the second is told from another pair of pictures
+    assert np.median(known / variance) == pytest.approx(1.0, abs=0.1)
+    own = captured_pictures([first, second.model_copy(update={"name": "own"})])[1][0]
+    assert np.median(own / variance) == pytest.approx(0.5, abs=0.15)
 
 
 def test_two_captures_are_better_than_one():
