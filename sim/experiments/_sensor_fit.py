@@ -61,8 +61,9 @@ _MOST_NOISE: Final = 0.1
 def captured_pictures(captures: Sequence[TactileCapture]) -> tuple[Floats, Floats]:
     """Return pictures (1 + captures, 3, row, column) in DN and the variance of their pixels: no contact, each press.
 
-    Pictures without contact are averaged, each once that several captures share. The camera's noise is told from the two images without contact of a capture,
-    where it has a repeat; else from the change of the contact, which is then part of it.
+    Pictures without contact are averaged, each once that several captures share. The camera's noise is told from the
+    two images without contact of a capture, where it has a repeat; else from the change of the contact, which is then
+    part of it.
 
     Raises
     ------

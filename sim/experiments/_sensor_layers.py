@@ -194,7 +194,7 @@ def render_each_light(
     ----------
     scene
         The sensor; its paths per pixel are those of two batches, its pictures are taken smaller. Its indenter is
-        pressed in at five places, a given [surface] where it is.
+        pressed in at five places, one that is no ball at three along the pad, a given [surface] where it is.
     batches
         Independent batches of paths, which tell the noise; an even number.
     progress
@@ -249,19 +249,14 @@ def _smaller_picture(sensor: PlainSensor) -> PlainSensor:
 
 
 def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
-    """Return the sensor with its indenter at five places; as it is, where a coat is given."""
+    """Return the sensor with its indenter all over its pad, on the middle line if no ball; as it is, with a coat."""
     if sensor.surface is not None:
         return [sensor]
-    pad = sensor.pad
+    pad, is_ball = sensor.pad, sensor.indenter.shape == "ball"
+    places = dict.fromkeys((across * is_ball * pad.width_mm, (0.5 + along) * pad.length_mm) for across, along in _OVER)
     return [
-        with_changed_values(
-            sensor,
-            {
-                "indenter.across_mm": across * pad.width_mm * (sensor.indenter.shape == "ball"),
-                "indenter.position_mm": (0.5 + along) * pad.length_mm,
-            },
-        )
-        for across, along in _OVER
+        with_changed_values(sensor, {"indenter.across_mm": across_mm, "indenter.position_mm": position_mm})
+        for across_mm, position_mm in places
     ]
 
 
