@@ -270,9 +270,7 @@ class _Growth:
 
     def alone(self, number: int, step: float) -> float:
         """Return the growth with one number moved."""
-        steps = np.zeros(len(self.inputs))
-        steps[number] = step
-        return self.of(steps)
+        return self.of(step * np.eye(len(self.inputs))[number])
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,8 +334,7 @@ def study_tolerances(
         Nothing varies, runs are too few, or the finger as drawn cannot be evaluated.
     """
     _check(inputs, settings)
-    total = 2 * len(inputs) + settings.runs + 1
-    told = Steps(progress, total)
+    told = Steps(progress, 2 * len(inputs) + settings.runs + 1)
     growth = _Growth(evaluate, design, paints, inputs, settings.seed)
     sides = []
     for number, one in enumerate(inputs):
@@ -355,11 +352,7 @@ def study_tolerances(
     together = limit_together(emulator, settings.allowed_rel, seed=settings.seed)
     reached = 1.0 if together.value is None else together.value
     within = _check_together(check, factor * reached, settings)
-    if factor >= 1.0:
-        given_share = share_within(emulator, 1.0 / factor, settings.allowed_rel)
-    else:  # the emulator knows nothing beyond its box
-        given_share = _check_together(check, 1.0, settings) / settings.checked
-        notes += (f"the share of fingers within the given half-ranges is that of {settings.checked} evaluated fingers",)
+    given_share, told_of_share = _within_given(check, emulator, factor, settings)
     return ToleranceFindings(
         growth.nominal_deg,
         tuple(sides),
@@ -373,7 +366,7 @@ def study_tolerances(
         within,
         settings.checked,
         given_share,
-        notes,
+        (*notes, *told_of_share),
     )
 
 
@@ -581,6 +574,17 @@ def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) 
     rng = np.random.default_rng(settings.seed + 1)
     units = rng.uniform(-1.0, 1.0, (settings.checked, len(check.inputs)))
     return sum(_stays(check, factor * unit, settings.allowed_rel) for unit in units)
+
+
+def _within_given(
+    check: _Growth, emulator: ChaosEmulator, factor: float, settings: ToleranceSettings
+) -> tuple[float, tuple[str, ...]]:
+    """Return the share of fingers within what is allowed that vary as given, and what is said of it."""
+    if factor >= 1.0:
+        return share_within(emulator, 1.0 / factor, settings.allowed_rel), ()
+    # the emulator knows nothing beyond its box
+    told = f"the share of fingers within the given half-ranges is that of {settings.checked} evaluated fingers"
+    return _check_together(check, 1.0, settings) / settings.checked, (told,)
 
 
 def _stays(check: _Growth, steps: Floats, allowed: float) -> bool:
