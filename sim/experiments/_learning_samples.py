@@ -54,7 +54,7 @@ class RenderedSample:
     normal
         Outward normal (x, y, z), each from -1 to 1 as 1 to 65535; 0 where no coat is seen.
     gains
-        Of red, green and blue: the pictures are sRGB of linear camera RGB times these.
+        Of red, green and blue: the pictures are sRGB of linear camera RGB times these; 1 of a channel without light.
     clipped_share
         Of the coat's pixels with contact: one channel or more at 255.
     """
@@ -184,7 +184,8 @@ def _looks_of(finger: PaintedFinger, render: PressRender, paints: Sequence[Sampl
         growth = chain_matrix(render.chains, conversion_gains(before.conversion, after.conversion))
         matrix = response_matrix(finger.response, after) @ growth
         rest, contact = (mix_chains(chains, matrix) for chains in (render.no_contact_chains, render.contact_chains))
-        gains = REST_LEVEL / rest[at_rest].mean(axis=0, dtype=np.float64)
+        mean = rest[at_rest].mean(axis=0, dtype=np.float64)
+        gains = np.divide(REST_LEVEL, mean, out=np.ones_like(mean), where=mean > 0.0)
         pictures = [encoded_picture(image, gains) for image in (rest, contact)]
         clipped = float((pictures[1][pressed] == _FULL_8_BIT).any(axis=-1).mean())
         red, green, blue = gains.tolist()
@@ -213,9 +214,9 @@ def encoded_normal(maps: PixelMaps) -> NDArray[np.uint16]:
 def render_noise_rel(finger: PaintedFinger, render: PressRender) -> float:
     """Return the noise of a pixel of the coat with contact: rms over channels and coat, relative to the mean.
 
-    Each channel counts relative to its own mean, with the paints of the render.
+    Each channel that sees light counts relative to its own mean, with the paints of the render.
     """
     matrix, coat = finger.camera_matrix(render.bands), render.contact_maps.sees("coat")
     variance = camera_rgb(render.contact_variance, matrix**2)[coat].mean(axis=0, dtype=np.float64)
     mean = camera_rgb(render.contact_bands, matrix)[coat].mean(axis=0, dtype=np.float64)
-    return float(np.sqrt((variance / mean**2).mean()))
+    return float(np.sqrt((variance[mean > 0.0] / mean[mean > 0.0] ** 2).mean()))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from data_schemas import FingerDesign, IndenterPose, SimulatedPress, SimulateError, TactileCapture
 from rigs.simulated.sensor import Sensor, mosaic
 from sim.experiments._painted_finger import FingerScene, PaintedFinger
-from sim.experiments._rendered_press import Rendering, camera_rgb, press_with_render
+from sim.experiments._rendered_press import Rendering, camera_rgb, pixels_of_coat, press_with_render
 from sim.optics import (
     BAND_NAMES,
     PaintBands,
@@ -197,7 +197,7 @@ def repeat_render(bands: Image, variance: Image, rng: np.random.Generator) -> Im
     Parameters
     ----------
     bands, variance
-        Mean of two independent halves of a render and its variance, shape (rows, columns, bands).
+        Mean of the independent passes of a render and its variance, shape (rows, columns, bands).
     rng
         Generator of the chances.
     """
@@ -328,7 +328,9 @@ class ColourSpread:
         )
 
 
-def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourSpread:
+def colour_spread(
+    press: SimulatedPress, seed: int, draws: int = 400, coat: NDArray[np.bool_] | None = None
+) -> ColourSpread:
     """Return the spread of the colours from draws of the camera matrix; nothing is rendered.
 
     The response of each channel in the LED's band is multiplied by a log-normal factor of mean 1 and of the
@@ -342,11 +344,13 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
         Of the draws.
     draws
         Number of draws; with 400 a standard deviation is known to 4 %.
+    coat
+        Which pixels see the coat, (row, column); by default those with a distance from the contact.
 
     Raises
     ------
     SimulateError
-        When the press holds no bands or no design.
+        When the press holds no bands or no design, or without `coat` has no contact.
     """
     design = press_design(press)
     bands, matrix = press.contact_bands, press.camera_matrix
@@ -355,7 +359,7 @@ def colour_spread(press: SimulatedPress, seed: int, draws: int = 400) -> ColourS
             f"{press.name} contains no band images, but only a rendered press, which has them, records the origin of "
             "its colours"
         )
-    mean = bands[np.isfinite(press.distance)].astype(np.float64).mean(axis=0)
+    mean = bands[pixels_of_coat(press) if coat is None else coat].astype(np.float64).mean(axis=0)
     led, uncertainty = press.bands.index("led"), design.camera.response_at_led_uncertainty_rel
     sigma = np.sqrt(np.log1p(uncertainty**2))
     factors = np.exp(sigma * np.random.default_rng([seed, 2]).standard_normal((draws, 3)) - 0.5 * sigma**2)
@@ -389,7 +393,7 @@ class OpticsProducts:
     basis_names
         Names of their channels: chains of fluorescence, see :mod:`sim.optics._paint_bands`.
     band_sd
-        Per state, standard deviation of the bands from render noise, by two independent halves of it.
+        Per state, standard deviation of the bands from render noise, by up to 16 passes of it.
     maps
         Geometry of the pressed finger in each pixel.
     wavelength_nm, spectral
@@ -438,7 +442,7 @@ def optics_products(render: PressRender, press: SimulatedPress, seed: int) -> Op
         maps=render.contact_maps,
         wavelength_nm=wavelength_nm,
         spectral=mix_chains(render.contact_bands, band_densities_per_nm(render.bands, wavelength_nm)),
-        colours=colour_spread(press, seed),
+        colours=colour_spread(press, seed, coat=render.contact_maps.sees("coat")),
         timings_s=render.timings_s,
     )
 

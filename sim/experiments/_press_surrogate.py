@@ -99,8 +99,8 @@ def candidate_presses(family: PressFamily, count: int = _POOL) -> list[Indenter]
     def between(share: float, bounds: tuple[float, float]) -> float:
         return float(bounds[0] + share * (bounds[1] - bounds[0]))
 
-    found, (small, large) = [], family.radius_mm
-    for along, across, size, turn, shape, push in qmc.Sobol(_FEATURES, seed=1).random(count):
+    found, (small, large), whole = [], family.radius_mm, 1 << (count - 1).bit_length()
+    for along, across, size, turn, shape, push in qmc.Sobol(_FEATURES, seed=1).random(whole)[:count]:
         cylinder = shape < 1.0 / 2.0
         found.append(
             Indenter(

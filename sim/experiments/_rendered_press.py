@@ -585,16 +585,15 @@ def _growth(press: SimulatedPress, before: PaintBands, after: PaintBands) -> Flo
 def _gains(white_balance: WhiteBalance, press: SimulatedPress, layers_to_rgb: Floats) -> Gains:
     """Return the gains of red, green and blue."""
     if isinstance(white_balance, str) and white_balance == "pad":
-        pad, layers = np.isfinite(press.distance), _layers(press)[0]
-        means = np.zeros(3)
-        if pad.any() and layers is not None:
+        pad, layers, means = pixels_of_coat(press), _layers(press)[0], np.zeros(3)
+        if layers is not None:
             # row by row: one product of all pixels is spread over threads, see sim.optics._paint_bands
             of_rows = np.matmul(pad[:, None, :].astype(np.float32), layers)[:, 0]
             means = layers_to_rgb @ of_rows.sum(axis=0, dtype=np.float64)
         if not (means > 0.0).all():
             raise SimulateError(
                 f"{press.name}: the gains of the white balance cannot be found, because the pad without contact is "
-                "black or not seen; give three gains"
+                "black in a channel; give three gains"
             )
         gains = means[BAND_NAMES.index("green")] / means
     else:
@@ -609,6 +608,23 @@ def _gains(white_balance: WhiteBalance, press: SimulatedPress, layers_to_rgb: Fl
         )
     red, green, blue = gains.tolist()
     return red, green, blue
+
+
+def pixels_of_coat(press: SimulatedPress) -> NDArray[np.bool_]:
+    """Return which pixels see the coat, (row, column): those with a distance from the contact.
+
+    Raises
+    ------
+    SimulateError
+        The press has no contact.
+    """
+    coat = np.isfinite(press.distance)
+    if not coat.any():
+        raise SimulateError(
+            f"{press.name} has no contact, so its record does not state which pixels see the pad, but its mean colour "
+            "is needed; render a press with contact (indenter.depth_mm above 0), or give three gains"
+        )
+    return np.asarray(coat)
 
 
 def _images(press: SimulatedPress, growth: Floats, matrix: Floats) -> dict[str, Image | Floats]:

@@ -61,8 +61,9 @@ _MOST_NOISE: Final = 0.1
 def captured_pictures(captures: Sequence[TactileCapture]) -> tuple[Floats, Floats]:
     """Return pictures (1 + captures, 3, row, column) in DN and the variance of their pixels: no contact, each press.
 
-    Pictures without contact are averaged. The camera's noise is told from the two images without contact of a capture,
-    where it has a repeat; else from the change of the contact, which is then part of it.
+    Pictures without contact are averaged, each once that several captures share. The camera's noise is told from the
+    two images without contact of a capture, where it has a repeat; else from the change of the contact, which is then
+    part of it.
 
     Raises
     ------
@@ -78,8 +79,9 @@ def captured_pictures(captures: Sequence[TactileCapture]) -> tuple[Floats, Float
         rests.append(rest)
         presses.append(press)
         noise.append((found.variance(rest), found.variance(press)))
-    images = [np.mean(rests, axis=0), *presses]
-    variances = [np.mean([n[0] for n in noise], axis=0) / len(captures), *(n[1] for n in noise)]
+    once = list({np.asarray(capture.no_contact).tobytes(): k for k, capture in enumerate(captures)}.values())
+    images = [np.mean([rests[k] for k in once], axis=0), *presses]
+    variances = [np.mean([noise[k][0] for k in once], axis=0) / len(once), *(n[1] for n in noise)]
     return (np.moveaxis(np.array(images), -1, 1), np.moveaxis(np.array(variances), -1, 1))
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from scipy.interpolate import RegularGridInterpolator
 
 from data_schemas import CHANNELS, ColouredLight, FingerDesign, LightPanel, PaintCalibration, PlainSensor, SimulateError
@@ -21,6 +21,7 @@ from sim.experiments._painted_finger import COLOURS, PaintedFinger
 from sim.optics import (
     BAND_NAMES,
     FIRST_CHAINS,
+    NEGLIGIBLE_CONVERSION,
     PlainRender,
     PressRender,
     Progress,
@@ -193,7 +194,7 @@ def render_each_light(
     ----------
     scene
         The sensor; its paths per pixel are those of two batches, its pictures are taken smaller. Its indenter is
-        pressed in at five places, a given [surface] where it is.
+        pressed in at five places, one that is no ball at three along the pad, a given [surface] where it is.
     batches
         Independent batches of paths, which tell the noise; an even number.
     progress
@@ -248,19 +249,14 @@ def _smaller_picture(sensor: PlainSensor) -> PlainSensor:
 
 
 def _presses_over(sensor: PlainSensor) -> list[PlainSensor]:
-    """Return the sensor with its indenter at five places; as it is, where a coat is given."""
+    """Return the sensor with its indenter all over its pad, on the middle line if no ball; as it is, with a coat."""
     if sensor.surface is not None:
         return [sensor]
-    pad = sensor.pad
+    pad, is_ball = sensor.pad, sensor.indenter.shape == "ball"
+    places = dict.fromkeys((across * is_ball * pad.width_mm, (0.5 + along) * pad.length_mm) for across, along in _OVER)
     return [
-        with_changed_values(
-            sensor,
-            {
-                "indenter.across_mm": across * pad.width_mm * (sensor.indenter.shape == "ball"),
-                "indenter.position_mm": (0.5 + along) * pad.length_mm,
-            },
-        )
-        for across, along in _OVER
+        with_changed_values(sensor, {"indenter.across_mm": across_mm, "indenter.position_mm": position_mm})
+        for across_mm, position_mm in places
     ]
 
 
@@ -326,14 +322,28 @@ def _only_lit(sensor: PlainSensor, lit: Sequence[int]) -> PlainSensor:
 
 @dataclass(frozen=True, slots=True)
 class FingerLayers:
-    """A painted finger, one layer for each light panel and chain of fluorescence."""
+    """A painted finger, one layer for each light panel and chain of fluorescence.
+
+    The few percent of chains beyond the second order are part of the layer with the same last two conversions.
+    """
 
     finger: PaintedFinger
     calibrations: Mapping[str, PaintCalibration] = field(default_factory=dict)
     seed: int = 1
     samples: int = 128
     shared_light: bool = False
-    chains: tuple[str, ...] = FIRST_CHAINS
+
+    @property
+    def chains(self) -> tuple[str, ...]:
+        """Chains that have layers: all of first order, those of second order that the paints' absorption allows."""
+        of_walls, led = check_paints(self.design, self.finger.paints).conversion, BAND_NAMES.index("led")
+        second = (
+            f"led>{first}>{wall}"
+            for first in COLOURS
+            for wall, row in of_walls.items()
+            if row[BAND_NAMES.index(first)] > NEGLIGIBLE_CONVERSION * row[led]
+        )
+        return (*FIRST_CHAINS, *second)
 
     @property
     def design(self) -> FingerDesign:
@@ -422,9 +432,19 @@ class FingerLayers:
 
     def _apart(self, render: PressRender, state: str) -> Floats:
         """Return the chains of one state and half the difference of their halves, (2, chain, row, column)."""
-        at = [render.chains.index(chain) for chain in self.chains]
-        both = (getattr(render, f"{state}_{what}")[..., at] for what in ("chains", "half_difference"))
-        return np.stack([np.moveaxis(image.astype(np.float64), -1, 0) for image in both])
+        layers = self.chains
+        into = np.zeros((len(render.chains), len(layers)))
+        for number, chain in enumerate(render.chains):
+            into[number, _layer_of(chain, layers)] = 1.0
+        both = (getattr(render, f"{state}_{what}").astype(np.float64) for what in ("chains", "half_difference"))
+        return np.stack([np.moveaxis(image @ into, -1, 0) for image in both])
+
+
+def _layer_of(chain: str, layers: Sequence[str]) -> int:
+    """Return the number of the layer of a chain; without its own, that with most of its last conversions."""
+    walls = [wall for _, wall in chain_steps(chain)]
+    names = (">".join(["led", *walls[k:]]) for k in range(len(walls) + 1))
+    return next(layers.index(name) for name in names if name in layers)
 
 
 def _finger(design: Design) -> FingerDesign:
@@ -493,9 +513,11 @@ def _powers(design: Design, names: Sequence[str]) -> tuple[FreeParameter, ...]:
 def value_at(design: Any, name: str) -> Any:
     """Return the value at a dotted path, entries of lists by their number; None where a part is absent."""
     for part in name.split("."):
-        if design is None:
-            return None
-        design = design[int(part)] if part.isdecimal() else getattr(design, part, None)
+        if isinstance(design, tuple) and part.isdecimal():
+            design = design[int(part)] if int(part) < len(design) else None
+        else:
+            is_field = isinstance(design, BaseModel) and part in type(design).model_fields
+            design = getattr(design, part) if is_field else None
     return design
 
 
@@ -515,7 +537,7 @@ def with_changed_values(design: D, values: Mapping[str, float]) -> D:
             if isinstance(place, dict) and isinstance(place[part], tuple):
                 place[part] = list(place[part])
             place = place[int(part)] if part.isdecimal() else place[part]
-        place[last] = value
+        place[int(last) if last.isdecimal() else last] = value
     try:
         return cast("D", type(design).model_validate(whole))
     except ValidationError as refused:

@@ -157,7 +157,7 @@ def _nominal(design: FingerDesign, paints: Paints, field: str) -> float | None:
     if field.startswith(_NO_LIGHT):
         return None
     if field.startswith("paint."):
-        _, colour, what = [*field.split("."), "", ""][:3]
+        _, colour, what = [*field.split(".", 2), "", ""][:3]
         return {"yield_rel": 1.0, "emission_sd": 0.0}.get(what) if colour in paints else None
     path, axis = _path(field)
     try:
@@ -167,7 +167,7 @@ def _nominal(design: FingerDesign, paints: Paints, field: str) -> float | None:
     if value is None and path in _LAID_OUT:
         value = _LAID_OUT[path](design)
     if axis is not None:
-        return float(value[axis]) if isinstance(value, tuple) and axis < len(value) else None
+        return float(value[axis]) if isinstance(value, tuple) and 0 <= axis < len(value) else None
     return float(value) if isinstance(value, float) else None
 
 
@@ -255,26 +255,22 @@ class ToleranceSettings:
 
 
 class _Growth:
-    """Growth of the error over that of the finger as drawn, for one seed; nothing is evaluated twice."""
+    """Growth of the error over that of the finger as drawn, for one seed."""
 
     def __init__(
         self, evaluate: Evaluate, design: FingerDesign, paints: Paints, inputs: Sequence[ToleranceInput], seed: int
     ) -> None:
         self.evaluate, self.design, self.paints, self.inputs, self.seed = evaluate, design, paints, inputs, seed
         self.nominal_deg = evaluate(design, paints, seed)
-        self.count = 0
 
     def of(self, steps: Floats) -> float:
         """Return the growth at steps in half-ranges."""
-        self.count += 1
         design, paints = varied_finger(self.design, self.paints, self.inputs, steps)
         return self.evaluate(design, paints, self.seed) / self.nominal_deg - 1.0
 
     def alone(self, number: int, step: float) -> float:
         """Return the growth with one number moved."""
-        steps = np.zeros(len(self.inputs))
-        steps[number] = step
-        return self.of(steps)
+        return self.of(step * np.eye(len(self.inputs))[number])
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,8 +334,7 @@ def study_tolerances(
         Nothing varies, runs are too few, or the finger as drawn cannot be evaluated.
     """
     _check(inputs, settings)
-    total = 2 * len(inputs) + settings.runs + 1
-    told = Steps(progress, total)
+    told = Steps(progress, 2 * len(inputs) + settings.runs + 1)
     growth = _Growth(evaluate, design, paints, inputs, settings.seed)
     sides = []
     for number, one in enumerate(inputs):
@@ -356,7 +351,8 @@ def study_tolerances(
     emulator = fit_chaos(units, losses, settings.seed)
     together = limit_together(emulator, settings.allowed_rel, seed=settings.seed)
     reached = 1.0 if together.value is None else together.value
-    within, count = _check_together(check, factor * reached, settings)
+    within = _check_together(check, factor * reached, settings)
+    given_share, told_of_share = _within_given(check, emulator, factor, settings)
     return ToleranceFindings(
         growth.nominal_deg,
         tuple(sides),
@@ -368,8 +364,9 @@ def study_tolerances(
         emulator,
         together,
         within,
-        count,
-        notes,
+        settings.checked,
+        given_share,
+        (*notes, *told_of_share),
     )
 
 
@@ -388,6 +385,7 @@ class ToleranceFindings:
     together: Limit
     within: int
     count: int
+    given_share: float
     notes: tuple[str, ...] = ()
 
     def record(
@@ -415,7 +413,7 @@ class ToleranceFindings:
             together_factor=together[0],
             together_low95=together[1],
             together_high95=together[2],
-            within_given_share=share_within(self.emulator, min(1.0 / self.factor, 1.0), settings.allowed_rel),
+            within_given_share=self.given_share,
             checked_within=self.within,
             checked_fingers=self.count,
             box_factor=self.factor,
@@ -571,11 +569,22 @@ def _all_together(
         return factor, losses, (told,) if refusal else ()
 
 
-def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) -> tuple[int, int]:
-    """Return how many fingers at the joint limit stay within what is allowed, of how many, with another seed."""
+def _check_together(check: _Growth, factor: float, settings: ToleranceSettings) -> int:
+    """Return how many checked fingers stay within what is allowed at a factor on all half-ranges, with another seed."""
     rng = np.random.default_rng(settings.seed + 1)
     units = rng.uniform(-1.0, 1.0, (settings.checked, len(check.inputs)))
-    return sum(_stays(check, factor * unit, settings.allowed_rel) for unit in units), settings.checked
+    return sum(_stays(check, factor * unit, settings.allowed_rel) for unit in units)
+
+
+def _within_given(
+    check: _Growth, emulator: ChaosEmulator, factor: float, settings: ToleranceSettings
+) -> tuple[float, tuple[str, ...]]:
+    """Return the share of fingers within what is allowed that vary as given, and what is said of it."""
+    if factor >= 1.0:
+        return share_within(emulator, 1.0 / factor, settings.allowed_rel), ()
+    # the emulator knows nothing beyond its box
+    told = f"the share of fingers within the given half-ranges is that of {settings.checked} evaluated fingers"
+    return _check_together(check, 1.0, settings) / settings.checked, (told,)
 
 
 def _stays(check: _Growth, steps: Floats, allowed: float) -> bool:

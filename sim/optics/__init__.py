@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from sim.optics._optical_layout import PanelFrame, Window, camera_pose, panel_frame
     from sim.optics._paint_bands import (
         BAND_NAMES,
+        NEGLIGIBLE_CONVERSION,
         PaintBands,
         PaintOptics,
         SpectralBand,
@@ -99,6 +100,7 @@ __all__ = [
     "BAKE_SAMPLES",
     "BAND_NAMES",
     "FIRST_CHAINS",
+    "NEGLIGIBLE_CONVERSION",
     "SCALAR_VARIANT",
     "TEXELS_ALONG",
     "WALLS",

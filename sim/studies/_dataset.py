@@ -9,6 +9,7 @@ import functools
 import hashlib
 import io
 import json
+import math
 import tarfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -212,7 +213,7 @@ def _to_depth(path: tuple[PathPose, ...], depth_mm: float) -> tuple[PathPose, ..
 
 
 def sampled_light(plan: DatasetPlan, design: FingerDesign, press: int, light: int) -> FingerDesign:
-    """Return a design with the angles of its panels drawn evenly around their own.
+    """Return a design with the angles of its panels drawn evenly around their own, from -180 to 180 deg.
 
     Parameters
     ----------
@@ -227,7 +228,8 @@ def sampled_light(plan: DatasetPlan, design: FingerDesign, press: int, light: in
     reach = plan.light_angle_reach_deg
 
     def turned(panel: Any) -> Any:
-        return panel.model_copy(update={"angle_deg": panel.angle_deg + float(rng.uniform(-reach, reach))})
+        angle_deg = panel.angle_deg + float(rng.uniform(-reach, reach))
+        return panel.model_copy(update={"angle_deg": math.remainder(angle_deg, 360.0)})
 
     return design.model_copy(
         update={

@@ -72,6 +72,16 @@ def test_trimmed_blanks_do_no_harm(tmp_path):
         (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3)[:-30]), "is corrupted"),
         (lines(VERSION, record(101, 7, 0.1, 0.2, 0.3).replace("D ", "X ", 1)), "is corrupted"),
         (lines(VERSION, "*I 19" + record(101, 7, 0.1, 0.2, 0.3)[5:]), "has 6 items but states 9"),
+        (lines(VERSION, record(2000)), "is corrupted"),
+        (lines(VERSION, record(2000, 0.5)), "is corrupted"),
+        (lines(VERSION, record(2000, 0.5, "step")), "is corrupted"),
+        (lines(VERSION, record(2000, 0.5, float("nan"))), "is corrupted"),
+        (lines(VERSION, record(101)), "is corrupted"),
+        (lines(VERSION, record(101, 7)), "is corrupted"),
+        (lines(VERSION, record(101, "node", 0.1, 0.2, 0.3)), "is corrupted"),
+        (lines(VERSION, record(101, 10**20, 0.1, 0.2, 0.3)), "is corrupted"),
+        (lines(VERSION, record(101, 7, 0.1, float("nan"), 0.3)), r"is corrupted \(displacements and forces need"),
+        (lines(VERSION, record(104, 7, 0.1, "force", 0.3)), "is corrupted"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, match):
@@ -113,6 +123,12 @@ def test_a_results_file_becomes_surfaces(tmp_path):
     shapes = restore_shapes(read_record(out, FingerSurfaces))
     lowest = [shape.surfaces["coat"].vertices_mm[:, 1].min() for shape in shapes]
     assert lowest[0] - lowest[1] == pytest.approx(-sag.min(), rel=1e-6)
+
+
+def test_results_that_end_before_the_push_begins_are_refused(tmp_path):
+    (tmp_path / "x.fil").write_text(lines(VERSION, start(0.0, 0.0, 0), record(101, 1, 0.0, 0.0, 0.0), record(2001)))
+    with pytest.raises(ImportFormatError, match=r"no increment after the start of the step .* let Abaqus finish"):
+        pressed_by_abaqus(DESIGN, read_fil(tmp_path / "x.fil"))
 
 
 @pytest.mark.parametrize(

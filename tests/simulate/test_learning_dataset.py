@@ -3,11 +3,12 @@
 import io
 import tarfile
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from data_schemas import DatasetPlan, PathPose, SimulateError, provenance
+from data_schemas import DatasetPlan, FingerDesign, PathPose, SimulateError, provenance
 from finray_calib.cli._study_run import stand_in_paints
 from sim import preset_design
 from sim.experiments import (
@@ -15,8 +16,10 @@ from sim.experiments import (
     FingerScene,
     PaintDraws,
     Rendering,
+    SamplePaints,
     paint_finger,
     recoloured,
+    render_noise_rel,
     render_samples,
     sampled_paints,
     simulate_press,
@@ -97,6 +100,18 @@ def test_lights_turn_within_their_reach_and_differ_from_press_to_press():
     assert max(abs(angle - plan.design.light.angle_deg) for angle in angles) <= 3.0
     # the largest of 100 even draws stays within 0.9 of the reach with a probability below 1e-4
     assert max(abs(angle - plan.design.light.angle_deg) for angle in angles) > 0.9 * 3.0
+
+
+@pytest.mark.parametrize("angle_deg", [178.0, -178.0])
+def test_lights_turned_past_half_a_turn_are_the_same_angle_less_a_turn(angle_deg):
+    plan = plan_of(light_angle_reach_deg=45.0)
+    light = plan.design.light.model_copy(update={"angle_deg": angle_deg})
+    designs = [sampled_light(plan, plan.design.model_copy(update={"light": light}), k, 0) for k in range(20)]
+    turned = [(design.light.angle_deg - angle_deg + 180.0) % 360.0 - 180.0 for design in designs]
+    assert min(turned) < 0.0 < max(turned)
+    assert max(np.abs(turned)) <= 45.0 + 1e-9  # rounding of the turn
+    for design in designs:
+        assert FingerDesign.model_validate(design.model_dump()).light == design.light
 
 
 def test_a_set_grows_by_whole_shards_without_changing_those_it_has(tmp_path, paints):
@@ -207,6 +222,21 @@ def test_pictures_are_those_of_a_render_of_the_same_press_recoloured(paints):
         assert (stored == wanted).mean() > 0.999
     coat = render.no_contact_maps.sees("coat")
     assert (np.array(truth.gains) * shown.no_contact[coat].mean(axis=0)) == pytest.approx([0.18] * 3, rel=1e-5)
+
+
+@pytest.mark.renderer
+def test_a_channel_that_sees_no_light_stays_dark(paints):
+    """Such as blue behind a filter of long wavelengths: its gain was infinite, and its picture 0 times that."""
+    optics = {colour: paint.optics for colour, paint in paints.items()}
+    finger = paint_finger(sampled_press(plan_of(), 0), optics, None, open_renderer(choose_variant("auto"), threads=1))
+    blind = finger.response[2].model_copy(update={"values": np.zeros_like(finger.response[2].values)})
+    finger = replace(finger, response=(*finger.response[:2], blind))
+    (truth,), render = render_samples(finger, [SamplePaints(optics, {}, {})], RenderSettings("b", 5, 2))
+    assert truth.gains[2] == 1.0
+    assert truth.rest[..., 2].max() == truth.contact[..., 2].max() == 0
+    coat = render.no_contact_maps.sees("coat")
+    assert truth.rest[..., :2][coat].mean() > 50.0  # middle grey is 118
+    assert 0.0 < render_noise_rel(finger, render) < np.inf
 
 
 def test_a_paint_that_returns_more_light_than_it_gets_is_drawn_again(paints):

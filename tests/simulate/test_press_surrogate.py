@@ -255,6 +255,14 @@ def test_the_presses_beyond_the_first_are_those_least_known(design: FingerDesign
     assert np.abs(np.array(used[12:]) - np.array(in_order[12:])).max(axis=1).min() > 0.01
 
 
+def test_more_candidates_begin_with_the_fewer_and_are_drawn_without_a_warning(design: FingerDesign) -> None:
+    """More than 128 presses are chosen from a number that is no power of two, of which the sampler warned."""
+    family = press_family(design)
+    more = candidate_presses(family, 400)
+    assert len(more) == 400
+    assert more[:256] == candidate_presses(family)
+
+
 def test_surfaces_are_those_of_the_records(design: FingerDesign, taught: PressSurrogate) -> None:
     opened = SurrogateFinger(taught, limit_rel=1.0)
     pressed, bars, notes, doubt = opened.press_as_designed(design, 2)

@@ -221,8 +221,11 @@ def test_what_needs_a_new_render_is_refused(exciting):
         with pytest.raises(SimulateError, match="must be three positive gains"):
             recoloured(rendered, white_balance=wrong)
     dark = press(exciting, no_contact_chains=np.zeros((36, 48, 4)))
-    with pytest.raises(SimulateError, match="the pad without contact is black or not seen"):
+    with pytest.raises(SimulateError, match="the pad without contact is black in a channel"):
         recoloured(dark, white_balance="pad")
+    untouched = press(exciting, distance=np.full((36, 48), np.nan))
+    with pytest.raises(SimulateError, match="press has no contact, so its record does not state which pixels see"):
+        recoloured(untouched, white_balance="pad")
 
 
 def finray(capsys, *arguments):

@@ -1,15 +1,19 @@
 """The fit of a sensor to its captures: intervals hold on hidden sensors, and what the pictures do not tell is said."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from data_schemas import FittedNumber, SensorFit, SimulateError, provenance
+from data_schemas import FingerDesign, FittedNumber, GelPad, SensorFit, SimulateError, provenance
 from data_schemas.storage import read_record, write_record
 from finray_calib.fit import PictureBlocks, sample_picture_posterior
-from sim.experiments import fit_sensor, fitted_design
+from sim.experiments import FingerLayers, fit_sensor, fitted_design, paint_finger
+from sim.experiments._sensor_fit import captured_pictures
+from sim.experiments._sensor_layers import value_at, with_changed_values
+from sim.optics import RenderSettings, render_press
 from tests.simulate.drawn_sensor import COLUMNS, DESIGN, ROWS, DrawnSensor, captured, formula, hidden_sensor
 
 NOISE_REL = 0.05
@@ -136,6 +140,9 @@ def test_captures_that_do_not_go_together_are_refused(change, told):
         ("indenter.radius_mm", "only depth_mm and position_mm of the indenter can be fitted"),
         ("camera.width_px", "must be the dotted path of a positive number"),
         ("walls", "must be the dotted path of a positive number"),
+        ("lights.9.width_mm", "must be the dotted path of a positive number"),
+        ("pad.3", "must be the dotted path of a positive number"),
+        ("pad.thickness_mm.real", "must be the dotted path of a positive number"),
     ],
 )
 def test_numbers_that_cannot_be_free_are_refused(name, why):
@@ -144,11 +151,35 @@ def test_numbers_that_cannot_be_free_are_refused(name, why):
         fit_sensor(DrawnSensor(), [capture], [name])
 
 
+def test_entries_of_a_place_can_be_free():
+    pad = GelPad(shape="ellipsoidal", length_mm=16.0, width_mm=16.0, thickness_mm=5.0, semi_axes_mm=(16.0, 10.0, 16.0))
+    sensor = DESIGN.model_copy(update={"pad": pad})
+    assert value_at(sensor, "pad.semi_axes_mm.1") == 10.0
+    changed = with_changed_values(sensor, {"pad.semi_axes_mm.1": 11.0})
+    assert changed.pad.semi_axes_mm == (16.0, 11.0, 16.0)
+    assert value_at(FingerDesign(), "lights.0.width_mm") is None  # its panels are light, second_light, further_lights
+    assert value_at(FingerDesign(), "further_lights.0.width_mm") is None
+
+
 def test_pictures_of_another_size_are_refused():
     pictures = 1000.0 * formula(DrawnSensor().design, True)[:, ::2, ::2]
     capture = captured(np.stack([pictures, pictures]), np.random.default_rng(1))
     with pytest.raises(SimulateError, match=r"renders 64 x 48 px, but hidden has 32 x 24 px"):
         fit_sensor(DrawnSensor(), [capture], FREE)
+
+
+def test_a_picture_without_contact_that_captures_share_counts_once():
+    """Captures of a data set may share one: its noise does not average out."""
+    _, first = hidden_sensor(0)
+    _, second = hidden_sensor(1)
+    shared = second.model_copy(update={"name": "shared", "no_contact": first.no_contact})
+    picture, variance = (of_all[0] for of_all in captured_pictures([first]))
+    same, known = (of_all[0] for of_all in captured_pictures([first, shared]))
+    np.testing.assert_array_equal(same, picture)
+    # the noise of the second is told from another pair of pictures
+    assert np.median(known / variance) == pytest.approx(1.0, abs=0.1)
+    own = captured_pictures([first, second.model_copy(update={"name": "own"})])[1][0]
+    assert np.median(own / variance) == pytest.approx(0.5, abs=0.15)
 
 
 def test_two_captures_are_better_than_one():
@@ -244,3 +275,44 @@ class OneColour(DrawnSensor):
     def mix(self, factors):
         powers = super().mix(factors)
         return np.stack([powers.sum(axis=0), np.zeros(3), np.zeros(3)])
+
+
+def _pigmented(paints, red=1.0, green=1.0):
+    """Return paints of other yields that absorb what walls emit, as every calibrated paint does."""
+
+    def absorbed(center_nm, sigma_nm):
+        return np.exp(-0.5 * ((paints["red"].wavelength_nm - center_nm) / sigma_nm) ** 2)
+
+    absorption = {"red": 0.05 + absorbed(555.0, 30.0) + 0.5 * absorbed(450.0, 60.0), "green": absorbed(470.0, 30.0)}
+    return {
+        colour: replace(
+            paints[colour], absorption_rel=absorption[colour], emission_per_nm=factor * paints[colour].emission_per_nm
+        )
+        for colour, factor in (("red", red), ("green", green))
+    }
+
+
+@pytest.mark.renderer
+def test_layers_of_a_painted_finger_add_up_to_its_picture(paints, llvm):
+    """Green emission makes the red wall emit too: without that, red was up to 16 % too dark, and unevenly so."""
+    design = FingerDesign()
+    small = design.camera.model_copy(update={"width_px": 40, "height_px": 30})
+    design = design.model_copy(update={"camera": small})
+    finger = paint_finger(design, _pigmented(paints), Path(), llvm)
+    scene = FingerLayers(finger, seed=1, samples=16)
+    found = scene.layers([design])
+    assert len(scene.layer_names) == found.pictures.shape[2]
+
+    def seen(paints, state):
+        render = render_press(design, paints, llvm, RenderSettings("b", 1, 16))
+        return getattr(render, f"{state}_bands")[found.on_pad] @ finger.camera_matrix(render.bands).T
+
+    def mixed(factors, picture):
+        return found.pictures[0, picture][:, found.on_pad].T @ scene.mix(factors).T
+
+    for picture, state in enumerate(("no_contact", "contact")):
+        # the same random numbers: single precision is left
+        np.testing.assert_allclose(mixed({}, picture), seen(finger.paints, state), rtol=1e-4, atol=1e-9)
+    of_yields = mixed({"paint.red.yield_rel": 0.9, "paint.green.yield_rel": 0.7}, 0).mean(axis=0)
+    # chains of third order grow as those of second order do here: 0.7 of a percent of red
+    np.testing.assert_allclose(of_yields, seen(_pigmented(paints, 0.9, 0.7), "no_contact").mean(axis=0), rtol=5e-3)

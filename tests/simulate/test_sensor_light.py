@@ -8,6 +8,7 @@ import pytest
 from data_schemas import CameraBelow, ColouredLight, GelPad, Indenter, PlainSensor, SensorCoat, TranslucentLayer
 from sim import SENSORS, preset_sensor
 from sim.experiments import pressed_coat, simulate_sensor_press
+from sim.experiments._sensor_layers import _presses_over
 from sim.experiments._sensor_press import _seen
 from sim.optics import (
     analytic_gel,
@@ -300,3 +301,11 @@ def test_presets_are_those_that_are_listed():
         assert sensor.name == name
         assert sensor.source
         assert sensor.origin
+
+
+def test_presses_over_a_pad_are_at_places_of_their_own():
+    """A cylinder reaches across the pad: beside the middle line it would be pressed twice at the same place."""
+    for shape, count in (("ball", 5), ("cylinder", 3)):
+        indenter = BALL.model_copy(update={"shape": shape})
+        presses = _presses_over(PlainSensor(pad=FLAT, indenter=indenter))
+        assert len({(one.indenter.across_mm, one.indenter.position_mm) for one in presses}) == len(presses) == count

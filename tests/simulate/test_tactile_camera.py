@@ -115,6 +115,16 @@ def test_colours_spread_by_the_share_of_led_light():
     assert "uncertain by 20 %. LED light makes up" in str(spread)
 
 
+def test_colours_of_a_finger_without_contact_are_those_of_the_pixels_that_see_its_coat():
+    """No pixel has a distance from a contact then: all shares were NaN, and the notes of the record said so."""
+    simulated = press()
+    untouched = press(distance=np.full((96, 128), np.nan, np.float32))
+    seen = np.isfinite(simulated.distance)
+    assert str(colour_spread(untouched, seed=2, coat=seen)) == str(colour_spread(simulated, seed=2))
+    with pytest.raises(SimulateError, match="press has no contact, so its record does not state which pixels see"):
+        colour_spread(untouched, seed=2)
+
+
 def test_spectral_images_integrate_to_the_bands(paints):
     from sim.experiments._optics_products import band_densities_per_nm, spectral_grid_nm
     from sim.optics import paint_bands

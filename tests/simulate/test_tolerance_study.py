@@ -71,6 +71,18 @@ def test_limits_and_shares_are_those_of_the_formula(drawn, tmp_path):
     assert read_record(tmp_path / "found.json", FingerTolerances).sentence == record.sentence
 
 
+def test_half_ranges_wider_than_the_box_are_judged_by_fingers_within_them(drawn):
+    """Half-ranges of 4 mm for a limit of 1.8 mm: the box is 0.56 times as large, and 80 % of its fingers are within."""
+    inputs = tolerance_inputs(DESIGN, drawn, VARY | OTHERS_STAY | {"pad.thickness_mm": 4.0})
+    settings = ToleranceSettings(runs=64, seed=3, checked=200)
+    found = study_tolerances(by_formula, DESIGN, drawn, inputs, settings)
+    record = found.record(DESIGN, {"red": "0" * 64, "green": "1" * 64}, inputs, settings, (35.0,), "own")
+    assert record.box_factor < 0.7
+    # three standard deviations of a share of 200
+    assert record.within_given_share == pytest.approx(_within(1.0, thickness_mm=4.0), abs=0.11)
+    assert record.notes == ("the share of fingers within the given half-ranges is that of 200 evaluated fingers",)
+
+
 def test_a_box_of_which_a_finger_cannot_be_built_is_made_smaller(drawn):
     """Alone, each number may go on; where both are large, the camera does not see the pad."""
 
@@ -163,10 +175,10 @@ def test_a_loss_below_zero_in_a_bracket_is_no_power_law():
     assert 1.0 < side.limit(0.1, 0.0).value < 4.0
 
 
-def _within(factor):
+def _within(factor, thickness_mm=0.2):
     """Return the share of fingers within 10 % by the formula, all numbers uniform within their half-ranges."""
     rng = np.random.default_rng(0)
-    turned, thicker = 2.0 * factor * rng.uniform(-1, 1, 10**5), 0.2 * factor * rng.uniform(-1, 1, 10**5)
+    turned, thicker = 2.0 * factor * rng.uniform(-1, 1, 10**5), thickness_mm * factor * rng.uniform(-1, 1, 10**5)
     return ((turned / np.where(turned < 0, 25.0, 36.0)) ** 2 + (thicker / 1.8) ** 2 <= 1.0).mean()
 
 
@@ -190,6 +202,8 @@ def test_what_a_person_sets_varies_and_what_is_stated(drawn):
         ("pad.shape", "is not a number of this finger"),
         ("mechanics.gel.c10_mpa", "that affects the light"),
         ("light.position_mm", "the axis last"),
+        ("mirror.base_yz_mm.x", "is not a number of this finger"),  # it would vary z
+        ("paint.red.yield_rel.x", "is not a number of this finger"),
     ):
         with pytest.raises(SimulateError, match=words):
             tolerance_inputs(design, drawn, {field: 1.0})

@@ -46,6 +46,11 @@ def pressed_by_abaqus(
     count = len(mesh.nodes_mm)
     reference = count + len(push.indenter.nodes_mm) + 1
     times = sorted({f.step_fraction for f in fields if f.step_fraction > 0.0})
+    if not times:
+        raise ImportFormatError(
+            "the results hold no increment after the start of the step (step time above 0); let Abaqus finish at least "
+            "one increment of the push"
+        )
     moved = np.stack([_of_nodes(fields, "U", t, np.arange(1, count + 1), preset) for t in times])
     depth_mm = -np.array([_of_nodes(fields, "U", t, np.array([reference]), preset)[0, 1] for t in times])
     reaction = np.array([_of_nodes(fields, "RF", t, np.array([reference]), preset)[0] for t in times])
@@ -95,6 +100,7 @@ _STEP_TIME: Final = 1  # attribute of that record
 _COLUMNS: Final = 80
 _REAL: Final = 22  # columns of a number after its D
 _TEXT: Final = 8  # columns of a text after its A
+_LARGEST: Final = 1e15  # whole numbers up to there are exact
 _COMPONENTS: Final = 3  # the reference node of a rigid body has rotations too
 
 
@@ -137,12 +143,12 @@ def read_fil(path: Path) -> list[NodalField]:
         if key == _INCREMENT_STARTS:
             found += _collected(rows, time)
             rows = {}
-            time = float(_attributes(path, record)[_STEP_TIME])
+            _, time = _numbers(path, record, _STEP_TIME + 1, "an increment needs its times")
         elif key in FIELDS:
-            number, *values = _attributes(path, record)
+            number, *values = _numbers(path, record, None, "displacements and forces need a node and finite numbers")
             nodes, components = rows.setdefault(FIELDS[key], ([], []))
             nodes.append(int(number))
-            components.append([float(v) for v in (*values, 0.0, 0.0)][:_COMPONENTS])
+            components.append([*values, 0.0, 0.0][:_COMPONENTS])
     found += _collected(rows, time)
     if not found:
         raise ImportFormatError(f"{path}: contains no displacements; write them with *NODE FILE, U and RF")
@@ -163,6 +169,15 @@ def _key(record: str) -> int:
         return int(record[start + 3 : start + 3 + int(record[start + 1 : start + 3])])
     except ValueError:
         return -1
+
+
+def _numbers(path: Path, record: str, count: int | None, needed: str) -> list[float]:
+    """Return the first attributes of a record, or all, which must be two or more finite numbers."""
+    found = _attributes(path, record)[:count]
+    numbers = [float(v) for v in found if not isinstance(v, str) and abs(v) < _LARGEST]
+    if len(numbers) < max(len(found), 2):
+        raise ImportFormatError(f"{path}: the record *{record[:40].strip()}... is corrupted ({needed})")
+    return numbers
 
 
 def _attributes(path: Path, record: str) -> list[float | str]:
