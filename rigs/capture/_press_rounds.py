@@ -29,7 +29,7 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import CellReading, Clock, ForceLimitError, LoadCell, Stage
-from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
+from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES
 from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, OpenTactileRig, without_spikes
 from rigs.capture._stage_press import PRESS_LESS, STEP_MARGIN, NotAllowedError, StagePress
 from rigs.transports import LATENCY_S
@@ -253,9 +253,9 @@ class PressRounds:
 
     def _pictures(self) -> NDArray[np.float64]:
         """Take frames."""
-        exposure_s = self._plan.exposure_s
-        camera = self._opened.camera_there()
-        frames = [camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S) for _ in range(DENT_FRAMES)]
+        exposure_s, camera = self._plan.exposure_s, self._opened.camera_there()
+        limit_s = CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S
+        frames = [camera.expose(exposure_s, limit_s) for _ in range(DENT_FRAMES)]
         return np.stack([frame.counts.astype(np.float64) for frame in frames])
 
     def _press(self, away_mm: float = 0.0) -> int:
