@@ -24,7 +24,7 @@ import numpy as np
 
 from data_schemas import BadFrameError, MissingExtraError, RefusedError, RigFile, Target, UnsafeError
 from rigs import Camera, FilterWheel, Light, Operator, open_rig, rig_locked
-from rigs.capture import CAMERA_DEADLINE_MARGIN_S, WHEEL_DEADLINE_S
+from rigs.capture import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES, WHEEL_DEADLINE_S
 from rigs.light_guard import LightLostError, is_hazardous
 
 try:
@@ -358,7 +358,8 @@ class RigCamera(StandardReadable):
                 f"{limits.shortest_exposure_s:g} to {limits.longest_exposure_s:g} s are allowed"
             )
         before = await self._surrounded()
-        raw = await self.call(lambda: self._camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S))
+        limit_s = CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S
+        raw = await self.call(lambda: self._camera.expose(exposure_s, limit_s))
         after = await self._surrounded()
         if before != after:
             raise BadFrameError(

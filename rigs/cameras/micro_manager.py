@@ -36,6 +36,8 @@ OPEN_DEADLINE_S: Final = 60.0  # some adapters initialise a sensor's cooling
 CLOSE_DEADLINE_S: Final = 5.0
 ANSWER_S: Final = 5.0  # Micro-Manager's own time-out
 READOUT_S: Final = 2.0
+UNBINNED: Final = ("1", "1x1")
+"""As adapters write it: that of Micro-Manager's own camera, and that of PCO's."""
 RECORDED: Final = ("PixelType", "BitDepth", "Gain", "Offset", "Binning", "ReadoutMode")
 
 
@@ -141,7 +143,8 @@ class MicroManagerCamera:
                 f"{self._where}: the configuration names no camera; add the line 'Property,Core,Camera,NAME'"
             )
         if core.hasProperty(self._camera, "Binning"):
-            core.setProperty(self._camera, "Binning", "1")
+            allowed = core.getAllowedPropertyValues(self._camera, "Binning")
+            core.setProperty(self._camera, "Binning", next((word for word in UNBINNED if word in allowed), UNBINNED[0]))
         core.clearROI()
         self._require_raw()
 

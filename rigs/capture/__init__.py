@@ -13,7 +13,13 @@ if TYPE_CHECKING:
     from rigs.capture._camera_session import camera_step, camera_times, capture_camera_session
     from rigs.capture._check_press import check_press_plan, record_press_facts
     from rigs.capture._check_session import check_filters, record_facts
-    from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, EXPOSURE_TOLERANCE_REL, WHEEL_DEADLINE_S, require_ready
+    from rigs.capture._exposure import (
+        CAMERA_DEADLINE_MARGIN_S,
+        CAMERA_EXPOSURES,
+        EXPOSURE_TOLERANCE_REL,
+        WHEEL_DEADLINE_S,
+        require_ready,
+    )
     from rigs.capture._force_gauge import (
         ForceGauge,
         OpenTactileRig,
@@ -56,6 +62,7 @@ else:
 
 __all__ = [
     "CAMERA_DEADLINE_MARGIN_S",
+    "CAMERA_EXPOSURES",
     "EXPOSURE_TOLERANCE_REL",
     "JOURNAL_NAME",
     "MOST_SATURATED_FRACTION",

@@ -132,6 +132,7 @@ def stray_light(
         return StrayLight(missing=f"no filter of this check {lacks} the laser at {laser_nm:g} nm")
     opened.operator.place("white")
     lit = replace(frames.white_step(passing[0]), frame_type="laser white", light="laser")
+    _turn_in_the_dark(opened, passing[0])
     with shine(opened, "laser"):
         metered_s = frames.meter(lit)
     # light at the limit must not saturate
@@ -140,6 +141,7 @@ def stray_light(
     def level(band: BandPassFilter, exposure_s: float) -> BlockedLight:
         step = replace(lit, filter_name=band.name, slot=band.slot)
         dark = replace(step, frame_type="dark", light="off")
+        _turn_in_the_dark(opened, band)
         with shine(opened, "laser"):
             white_dn = tuple(frames.expose(step, exposure_s) for _ in range(LEVEL_FRAMES))
         dark_dn = tuple(frames.expose(dark, exposure_s) for _ in range(LEVEL_FRAMES))
@@ -393,7 +395,7 @@ def _lit(band: BandPassFilter) -> Step:
 def _is_back(opened: OpenRig, band: BandPassFilter, frames: RegionFrames, exposure_s: float, on_dn: float) -> bool:
     """Return whether the laser looks as before when its filter is back: a wheel may have stayed where it was."""
     with shine(opened, "laser"):
-        return abs(frames.expose(_lit(band), exposure_s) / on_dn - 1.0) <= MOST_OTHER_SHARE
+        return abs(frames.expose(_lit(band), exposure_s) - on_dn) <= MOST_OTHER_SHARE * on_dn
 
 
 def _darks(frames: RegionFrames, band: BandPassFilter, exposure_s: float) -> NDArray[np.float64]:

@@ -134,7 +134,8 @@ class CheckFrames:
         measured = np.array([self._rates[name] for name in names])
         in_the_dark = np.array([self._rates_in_the_dark(band) for band in self._filters])
         floor = signal_floor([self._metered_s[name] for name in names], 2**self._settings.bit_depth - 1)
-        return judge_filters(names, measured - in_the_dark, predicted, lambda: in_the_dark[0], (), floor)
+        lamp_off = dict(zip(names, in_the_dark, strict=True))
+        return judge_filters(names, measured - in_the_dark, predicted, lamp_off.__getitem__, (), floor)
 
     def shows(self, band: BandPassFilter) -> bool:
         """Whether the white tile looks behind a filter as at its metering, or was too dark then to tell.

@@ -76,7 +76,7 @@ def judge_filters(
     names: Sequence[str],
     measured: FloatArray,
     predicted: FloatArray,
-    lamp_off: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
+    lamp_off: Callable[[str], Sequence[float]] = lambda name: (0.0, 0.0, 0.0),
     apart: Collection[frozenset[str]] = (),
     floor: FloatArray | None = None,
 ) -> FilterProof:
@@ -94,8 +94,8 @@ def judge_filters(
     predicted
         (F, 3) relative rates.
     lamp_off
-        Returns the 3 rates behind the first filter with the lamp off, DN/s. Asked only when all slots look alike: a
-        camera that shows a picture of its own looks so, too.
+        Returns the 3 rates behind a filter with the lamp off, DN/s. Asked only when all slots look alike: a camera that
+        shows a picture of its own looks so, too.
     apart
         Pairs of filters that are known not to be exchanged, from the laser's line.
     floor
@@ -119,7 +119,7 @@ def judge_filters(
     ln_measured, ln_predicted = _levels(measured), _levels(predicted)
     stuck = _only_filter(ln_measured, ln_predicted)
     if stuck is not None:
-        still_lit = bool(sum(lamp_off()) > LIT_SHARE * measured[0].sum())
+        still_lit = bool(sum(lamp_off(names[0])) > LIT_SHARE * measured[0].sum())
         return _alike_at_every_slot(names[stuck], still_lit)
     better, unclear_pairs = _exchanges(names, ln_measured, ln_predicted)
     if better:
@@ -143,7 +143,7 @@ def _judge_seen(
     seen: NDArray[np.bool_],
     measured: FloatArray,
     predicted: FloatArray,
-    lamp_off: Callable[[], Sequence[float]],
+    lamp_off: Callable[[str], Sequence[float]],
     apart: Collection[frozenset[str]],
 ) -> FilterProof:
     """Judge the filters that give a signal; the others are named, and nothing is confirmed of them."""
@@ -237,11 +237,12 @@ def compare_with_last(
         return FilterProof(
             verdict="cannot tell", text="the white tile is dark, so it cannot be compared with an earlier session"
         )
-    before = dict(zip(_white_filters(last), last.white_rates_dn_per_s, strict=False))
+    before, unseen = _white_before(last)
     seen = np.full(len(names), True) if floor is None else measured.max(axis=1) > floor
     common = [name for name, is_seen in zip(names, seen, strict=True) if name in before and is_seen]
     if len(common) < FEWEST_COMMON:
-        dim = "" if seen.all() else f", of those that are bright enough; {TOO_DIM}"
+        dim = "; the white tile was too dim in that session, so compare with another session" if unseen else ""
+        dim = dim if seen.all() else f", of those that are bright enough; {TOO_DIM}"
         shared = f"only {len(common)} filter{'' if len(common) == 1 else 's'}" if common else "no filter"
         return FilterProof(verdict="cannot tell", text=f"the earlier session shares {shared} with this one{dim}")
     now, then = measured[[list(names).index(name) for name in common]], np.array([before[name] for name in common])
@@ -263,9 +264,17 @@ def compare_with_last(
     )
 
 
-def _white_filters(session: CaptureSession) -> list[str]:
-    """Return the filters of a session's white frames in their order."""
-    return list(dict.fromkeys(str(f.filter_name) for f in session.frames if f.frame_type == "white"))
+def _white_before(session: CaptureSession) -> tuple[dict[str, tuple[float, float, float]], int]:
+    """Return the white rates of the filters that gave a signal in a session, and how many gave none."""
+    exposures_s: dict[str, float] = {}
+    for frame in session.frames:
+        if frame.frame_type == "white":
+            name = str(frame.filter_name)
+            exposures_s[name] = max(frame.exposure_s, exposures_s.get(name, 0.0))
+    floor = signal_floor(list(exposures_s.values()), 2**session.rig.camera.bit_depth - 1)
+    known = list(zip(exposures_s, session.white_rates_dn_per_s, floor, strict=False))
+    seen = {name: rates for name, rates, least in known if max(rates) > least}
+    return seen, len(known) - len(seen)
 
 
 def _only_filter(measured: FloatArray, predicted: FloatArray) -> int | None:

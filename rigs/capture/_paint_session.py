@@ -436,15 +436,14 @@ class PaintRecorder:
 
     def _judge_by_lamp(self, filters: Sequence[BandPassFilter], line: LaserLine) -> FilterProof:
         """Judge from the rates of the white tile; before a conviction the dark level behind each filter is measured."""
-        opened, measured = self._opened, np.array(self.white_rates())
+        opened, measured, names = self._opened, np.array(self.white_rates()), [f.name for f in filters]
         predicted = predicted_rates(filters, opened.filter_curves, opened.lamp_spectrum, opened.camera_response)
         excitation = self._plan.excitation_filter
         apart = [frozenset((excitation, other)) for other in line.not_exchanged()]
 
         def judged(rates: NDArray[np.float64], floor: NDArray[np.float64]) -> FilterProof:
-            first = self._white[0]
-            names = [f.name for f in filters]
-            return judge_filters(names, rates, predicted, lambda: self._rates_in_the_dark(first), apart, floor)
+            lit = dict(zip(names, self._white, strict=True))
+            return judge_filters(names, rates, predicted, lambda n: self._rates_in_the_dark(lit[n]), apart, floor)
 
         proof = judged(measured, self._floor(self._white))
         if proof.verdict != "contradicted":

@@ -29,7 +29,7 @@ from data_schemas import (
     TimedOutError,
 )
 from rigs import CellReading, Clock, ForceLimitError, LoadCell, Stage
-from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S
+from rigs.capture._exposure import CAMERA_DEADLINE_MARGIN_S, CAMERA_EXPOSURES
 from rigs.capture._force_gauge import SETTLING_READINGS, STEP_READINGS, Force, OpenTactileRig, without_spikes
 from rigs.capture._stage_press import PRESS_LESS, STEP_MARGIN, NotAllowedError, StagePress
 from rigs.transports import LATENCY_S
@@ -253,9 +253,9 @@ class PressRounds:
 
     def _pictures(self) -> NDArray[np.float64]:
         """Take frames."""
-        exposure_s = self._plan.exposure_s
-        camera = self._opened.camera_there()
-        frames = [camera.expose(exposure_s, exposure_s + CAMERA_DEADLINE_MARGIN_S) for _ in range(DENT_FRAMES)]
+        exposure_s, camera = self._plan.exposure_s, self._opened.camera_there()
+        limit_s = CAMERA_EXPOSURES * exposure_s + CAMERA_DEADLINE_MARGIN_S
+        frames = [camera.expose(exposure_s, limit_s) for _ in range(DENT_FRAMES)]
         return np.stack([frame.counts.astype(np.float64) for frame in frames])
 
     def _press(self, away_mm: float = 0.0) -> int:
@@ -596,32 +596,47 @@ def left_after_s(times_s: Floats, forces_n: Floats) -> float | None:
 
 
 def dent_column_px(before: NDArray[np.float64], during: NDArray[np.float64]) -> float | None:
-    """Return the column around which frames differ (px), each of shape (n, H, W); None where nothing stands out."""
+    """Return the column around which frames differ (px); None where nothing stands out.
+
+    Parameters
+    ----------
+    before, during
+        Bayer frames, each of shape (n, H, W), or RGB ones, (n, H, W, 3).
+    """
     width = int(before.shape[2]) // (2 * DENT_CELLS) * (2 * DENT_CELLS)
     if width == 0:
         return None
-    cut = [
-        frames[:, :, :width].reshape(frames.shape[0], frames.shape[1], DENT_CELLS, -1) for frames in (before, during)
+    # planes of one colour: colours that brighten and darken must not cancel
+    cells = [
+        [plane[:, :, : width // 2].reshape(*plane.shape[:2], DENT_CELLS, -1).mean(axis=(1, 3)) for plane in planes]
+        for planes in (_colour_planes(before), _colour_planes(during))
     ]
-    # whole Bayer cells: colours that brighten and darken must not cancel
-    mosaic = [[part[:, i::2, :, j::2].mean(axis=(1, 3)) for i in (0, 1) for j in (0, 1)] for part in cut]
-    change = sum((b.mean(axis=0) - a.mean(axis=0)) ** 2 for a, b in zip(*mosaic, strict=True))
-    noise = sum((b.var(axis=0, ddof=1) + a.var(axis=0, ddof=1)) / len(a) for a, b in zip(*mosaic, strict=True))
+    change = sum((b.mean(axis=0) - a.mean(axis=0)) ** 2 for a, b in zip(*cells, strict=True))
+    noise = sum((b.var(axis=0, ddof=1) + a.var(axis=0, ddof=1)) / len(a) for a, b in zip(*cells, strict=True))
     seen = np.clip(np.asarray(change) - DENT_SD**2 * float(np.mean(noise)), 0.0, None)
     if seen.sum() == 0.0:
         return None
-    if any((frames[1:] == frames[:-1]).all(axis=(1, 2)).any() for frames in (before, during)):
+    if any((frames[1:] == frames[:-1]).all(axis=tuple(range(1, frames.ndim))).any() for frames in (before, during)):
         return None  # a camera that repeats a frame may show where the contact was before
     column_px = float(np.average(np.arange(DENT_CELLS) + 0.5, weights=seen)) * width / DENT_CELLS
     return _centered_px(before, during, column_px)
 
 
+def _colour_planes(frames: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return frames as planes of one colour and half their size, (n, H/2, W/2): Bayer sites, or means of RGB pixels."""
+    sites = [frames[:, i::2, j::2] for i in (0, 1) for j in (0, 1)]
+    if frames.ndim == 3:
+        return sites
+    rows, columns = sites[-1].shape[1:3]
+    mean = np.mean([site[:, :rows, :columns] for site in sites], axis=0)
+    return [mean[..., colour] for colour in range(mean.shape[3])]
+
+
 def _centered_px(before: NDArray[np.float64], during: NDArray[np.float64], column_px: float) -> float:
     """Return the centre of gravity of the change about a column, over a window that is symmetric about it (px)."""
     change = np.zeros(before.shape[2] // 2)
-    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        a, b = (frames[:, i::2, j::2][:, :, : change.size].mean(axis=0) for frames in (before, during))
-        change += ((b - a) ** 2).mean(axis=0)
+    for a, b in zip(_colour_planes(before), _colour_planes(during), strict=True):
+        change += ((b.mean(axis=0) - a.mean(axis=0)) ** 2)[:, : change.size].mean(axis=0)
     change = np.clip(change - np.median(change), 0.0, None)
     columns_px = 2.0 * np.arange(change.size) + 1.0
     for _ in range(DENT_TURNS):

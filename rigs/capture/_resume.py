@@ -300,7 +300,7 @@ def take_over(folder: Path, interrupted: Interrupted) -> None:
             f"{folder}: another capture has continued this session in the meantime; check what it stored"
         )
     clear_session(folder)
-    _move_aside(folder, unvouched_files(folder, interrupted))
+    move_aside(folder, unvouched_files(folder, interrupted))
 
 
 def rig_as_it_is(rig: RigFile, rig_folder: Path, sources: Mapping[str, str]) -> tuple[RigFile, dict[str, str]]:
@@ -371,7 +371,7 @@ def _good_frames(folder: Path, lines: list[dict[str, Any]]) -> Iterable[tuple[in
 
 def set_aside(folder: Path, known: set[str]) -> None:
     """Move frame files that are not `known` out of the way; nothing is deleted."""
-    _move_aside(folder, _unknown(folder, known))
+    move_aside(folder, _unknown(folder, known))
 
 
 def unvouched_files(folder: Path, interrupted: Interrupted) -> list[Path]:
@@ -383,7 +383,8 @@ def _unknown(folder: Path, known: set[str]) -> list[Path]:
     return [path for path in sorted((folder / "frames").glob("*")) if path.relative_to(folder).as_posix() not in known]
 
 
-def _move_aside(folder: Path, files: Iterable[Path]) -> None:
+def move_aside(folder: Path, files: Iterable[Path]) -> None:
+    """Move files of a session out of the way, beside those of the same name that were moved before."""
     aside = folder / ORPHANS
     for path in files:
         aside.mkdir(exist_ok=True)

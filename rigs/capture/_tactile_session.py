@@ -62,7 +62,7 @@ from rigs.capture._journal import (
     read_journal,
 )
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
-from rigs.capture._resume import CHANGED_EVENT, NO_BEGINNING, ORPHANS, UNFIT_BEGINNING, begun_with
+from rigs.capture._resume import CHANGED_EVENT, NO_BEGINNING, UNFIT_BEGINNING, begun_with, move_aside
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
@@ -280,15 +280,15 @@ def read_interrupted_presses(folder: Path) -> InterruptedPresses:
             f"{folder}: replays a folder of images, so it cannot be resumed, because a replay would begin again with "
             "the first image; capture the session again, into another folder"
         )
-    good, unproven = dict[int, TactileFrame](), list[int]()
+    good, newest = dict[int, TactileFrame](), 0
     for line in lines:
         if line["event"] == CHANGED_EVENT:  # the contact before it may be of another light or exposure
-            for number in unproven:
-                good.pop(number, None)
+            contact = ("contact", line.get("place", newest))  # older versions did not note the place
+            good = {n: frame for n, frame in good.items() if (frame.frame_type, frame.place) != contact}
         frame = _frame(line) if line["event"] == "frame" else None
         if frame is not None and _is_unchanged(folder, frame):
             good[frame.sequence] = frame
-            unproven = [] if frame.frame_type == "no contact" else [*unproven, frame.sequence]
+            newest = frame.place if frame.frame_type == "contact" else newest
     shots = tactile_shots(plan, rig.camera, len(presses))
     wanted = Counter(shot.group for shot in shots)
     there = Counter(shot.group for shot in shots if shot.sequence in good)
@@ -327,10 +327,7 @@ def take_over(folder: Path, interrupted: InterruptedPresses, device: DeviceIdent
     clear_session(folder)
     known = {folder / frame.file for frame in interrupted.frames.values()}
     frames = [path for path in sorted((folder / "frames").glob("*")) if path not in known]
-    for path in (*frames, *sorted(folder.glob("press-*"))):
-        aside = folder / ORPHANS
-        aside.mkdir(exist_ok=True)
-        path.rename(aside / f"{len(list(aside.iterdir())):04d}_{path.name.lstrip('.')}")
+    move_aside(folder, (*frames, *sorted(folder.glob("press-*"))))
 
 
 def _frame(line: dict[str, object]) -> TactileFrame | None:
@@ -627,7 +624,7 @@ class _Recorder:
             "something still touches the pad; restart the camera, check the light, then resume (the contact before "
             "this image is repeated). If the first images are the wrong ones, capture into another folder"
         )
-        self._journal.append(CHANGED_EVENT, text=text)
+        self._journal.append(CHANGED_EVENT, text=text, place=shot.place)
         raise SignalChangedError(text)
 
     def _take(self, shot: TactileShot) -> None:

@@ -141,7 +141,11 @@ class OffLine:
         """Connect to the first of the server's addresses that takes us; localhost has two."""
         last = OSError("the server has no address")
         for family, kind, protocol, _, address in self._found:
-            link = socket.socket(family, kind, protocol)
+            try:
+                link = socket.socket(family, kind, protocol)
+            except OSError as error:  # a computer without IPv6, whose localhost has an address of it all the same
+                last = error
+                continue
             try:
                 link.settimeout(CONNECT_WITHIN_S)
                 link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -198,6 +198,8 @@ class ArduinoSwitch:
                 except GarbledError:  # the next answer tells the same
                     self._unanswered -= 1
                     continue
+                if said.word == "ERR":  # a damaged keep-alive changes nothing
+                    continue
                 if said.word != "ON":
                     raise WentOffError(
                         f"{self._name}: reports {said.word} although it was switched on; check the board"
@@ -251,7 +253,14 @@ class ArduinoSwitch:
         """Return the answer to a question, repeated after faults but for those that switched the light off."""
 
         def attempt(end_s: float) -> Said:
-            return self._exchange(question, end_s, last_s=last_s, tell_trip=True, wanted=wanted)
+            said = self._exchange(question, end_s, last_s=last_s, tell_trip=True, wanted=wanted)
+            if said.word not in ((wanted,) if wanted else ("ON", "OFF")):
+                self._out_of_step = True
+                raise GarbledError(
+                    f"{self._name}: answers {said.word} to '{question}', so the question was damaged on its way; check "
+                    "the cable, and the ground between board and computer"
+                )
+            return said
 
         last_s = time.monotonic() + deadline_s
         return repeated(attempt, last_s, self._name, attempt_s=ASK_WITHIN_S, final=(WentOffError,))

@@ -79,7 +79,11 @@ def _connected(host: str, port: int, clock: _Clock) -> socket.socket:
     known = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     failed: OSError = TimeoutError()
     for number, (family, kind, protocol, _, address) in enumerate(known):
-        link = socket.socket(family, kind, protocol)
+        try:
+            link = socket.socket(family, kind, protocol)
+        except OSError as error:  # a computer without IPv6, whose localhost has an address of it all the same
+            failed = error
+            continue
         try:
             link.settimeout(clock.left_s() / (len(known) - number))
             link.connect(address)

@@ -225,6 +225,22 @@ def test_laser_past_the_filters_is_stray_light(rig, plan):
     assert leaky.verdict == ("FAIL" if expected > 0.1 else "PASS")
 
 
+def test_the_wheel_is_turned_before_the_laser_is_lit_for_stray_light(rig, plan):
+    """It may be turned by hand."""
+    lit: list[bool] = []
+    with open_rig(rig, Path()) as opened:
+        opened.wheel.go_to(7, 20.0)
+
+        def go_to(slot: int, deadline_s: float) -> None:
+            lit.append(opened.laser.state())
+            opened.wheel.go_to(slot, deadline_s)
+
+        watched, filters = replace(opened, wheel=Device(opened.wheel, {"go_to": go_to})), check_filters(plan, rig)
+        stray_light(watched, rig, plan, CheckFrames(watched, rig, plan, filters), filters)
+    assert len(lit) >= 3
+    assert not any(lit)
+
+
 def test_rig_without_a_filter_for_its_laser_shows_no_stray_light(rig, plan):
     with frames_of(rig, plan, lambda opened: opened) as (opened, rig, plan, frames):
         only = [band for band in rig.filter_wheel.filters if band.center_nm > 590]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import (
@@ -23,6 +24,7 @@ from finray_calib.acceptance._device_checks import remedy_of
 from rigs import CellReading
 from rigs.capture import OpenTactileRig, record_press_facts
 from rigs.capture import _check_press as check_press
+from rigs.capture._press_rounds import dent_column_px
 from tests.capture.drivers.press_bench import press_bench
 from tests.capture.test_stage_press import FlatCamera, Hands, changed, faulty, real_rig
 from tests.command_line.running import finray
@@ -566,3 +568,17 @@ def test_poisoned_in_the_middle_of_a_part(tmp_path: Path, monkeypatch, part: str
         assert facts.errors
         report = judge_pressing(facts, BENCH_PLAN, rig)
         assert report.verdict in ("ERROR", "FAIL")
+
+
+def test_a_dent_is_seen_at_the_same_column_in_rgb_pictures() -> None:
+    """A camera behind MJPEG sends three values a pixel; a dent that turns red into blue must not cancel."""
+    before, during = 100.0 + np.random.default_rng(3).standard_normal((2, 4, 96, 128, 3))
+    during[:, :, 56:74] += np.array([30.0, 0.0, -30.0])
+    bayer = [frames[..., 0] for frames in (before, during)]
+    # the dent is drawn around column 65; noise and the soft window move its centre by less than 0.2 px
+    assert dent_column_px(*bayer) == pytest.approx(65.0, abs=0.2)
+    assert dent_column_px(before, during) == pytest.approx(65.0, abs=0.2)
+    assert dent_column_px(before, before[::-1]) is None
+    repeated = during.copy()
+    repeated[1] = repeated[0]
+    assert dent_column_px(before, repeated) is None

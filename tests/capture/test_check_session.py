@@ -440,6 +440,15 @@ class TestCameraWatch:
 
             black = replace(opened, camera=Device(opened.camera, {"expose": expose}))
             assert find_sight(black, rig, CheckFrames(black, rig, plan, check_filters(plan, rig))) is None
+
+            def count_nothing(*given: float) -> RawFrame:
+                raw = opened.camera.expose(*given)
+                return replace(raw, counts=np.zeros_like(raw.counts))
+
+            # no laser, and a camera without noise and black level
+            zero = replace(opened, camera=Device(opened.camera, {"expose": count_nothing}))
+            level = rig.model_copy(update={"camera": rig.camera.model_copy(update={"black_level_dn": 0.0})})
+            assert find_sight(zero, level, CheckFrames(zero, level, plan, check_filters(plan, level))) is None
             with shine(opened, "off"):
                 pass  # nothing was left on
 

@@ -150,8 +150,24 @@ def test_picture_that_needs_no_lamp_proves_nothing(captured) -> None:
     _, session, _ = captured
     predicted = np.array(session.white_rates_dn_per_s)
     pattern = np.repeat(predicted[7:], 8, axis=0)
-    assert judge_filters(NAMES, pattern, predicted, lambda: 0.01 * pattern[0]).verdict == "contradicted"
-    proof = judge_filters(NAMES, pattern, predicted, lambda: 0.9 * pattern[0])
+    assert judge_filters(NAMES, pattern, predicted, lambda name: 0.01 * pattern[0]).verdict == "contradicted"
+    proof = judge_filters(NAMES, pattern, predicted, lambda name: 0.9 * pattern[0])
+    assert proof.verdict == "cannot tell"
+    assert "hardly changes when the lamp goes off" in proof.text
+
+
+def test_the_lamp_goes_off_behind_a_filter_that_is_judged(captured) -> None:
+    """The first filter is too dim to be judged, and dark with the lamp off too; the picture of the others stays."""
+    _, session, _ = captured
+    predicted = np.array(session.white_rates_dn_per_s)
+    rates = np.repeat(predicted[7:], 8, axis=0)
+    rates[0] *= 1e-3
+    floor = np.full(8, 0.1 * rates[7].max())
+
+    def lamp_off(name: str = NAMES[0]) -> np.ndarray:
+        return 0.9 * rates[NAMES.index(name)]
+
+    proof = judge_filters(NAMES, rates, predicted, lamp_off, floor=floor)
     assert proof.verdict == "cannot tell"
     assert "hardly changes when the lamp goes off" in proof.text
 
@@ -182,6 +198,19 @@ def test_earlier_session_of_other_filters_leaves_the_verdict(
     assert session.filter_proof is not None
     assert now.filter_proof.verdict == session.filter_proof.verdict
     assert now.filter_proof.text.endswith("the earlier session shares no filter with this one")
+
+
+@pytest.mark.parametrize("rate_dn_per_s", [-1.0, 0.0, 0.3])
+def test_earlier_session_whose_white_tile_was_dark_proves_nothing(captured, rate_dn_per_s: float) -> None:
+    """Its rates are what is left of the black level: no logarithm, or one of noise."""
+    _, session, _ = captured
+    rates, noise = np.array(session.white_rates_dn_per_s), np.random.default_rng(4).uniform(0.5, 1.5, (8, 3))
+    dark = session.model_copy(update={"white_rates_dn_per_s": tuple(map(tuple, (rate_dn_per_s * noise).tolist()))})
+    proof = compare_with_last(NAMES, rates, dark, np.full(8, 1e-3))
+    assert proof.verdict == "cannot tell"
+    assert proof.text.endswith("the white tile was too dim in that session, so compare with another session")
+    one_dim = session.model_copy(update={"white_rates_dn_per_s": ((0.1, 0.2, 0.1), *session.white_rates_dn_per_s[1:])})
+    assert compare_with_last(NAMES, rates, one_dim).verdict == "confirmed"
 
 
 def test_session_unlike_an_earlier_one_is_refused(rig: RigFile, plan: PaintPlan, captured, tmp_path: Path) -> None:

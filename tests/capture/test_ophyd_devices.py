@@ -29,7 +29,8 @@ from data_schemas import (
     RigFile,
     UnsafeError,
 )
-from rigs import AbsentOperator, Light, OpenRig, open_rig, rig_locked, simulated_rig
+from rigs import AbsentOperator, Light, OpenRig, RawFrame, open_rig, rig_locked, simulated_rig
+from rigs.cameras._genicam import ANSWER_S, TRANSFER_S
 from rigs.light_guard import GuardedLight, LightLostError, guarded_light
 from rigs.ophyd_devices import OphydRig, RigLight, ophyd_rig
 from tests.capture.drivers import file_switch
@@ -553,6 +554,33 @@ def test_a_frame_during_which_a_light_changes_is_not_used(
     assert isinstance(raised.value.__cause__, BadFrameError)
     assert "'lamp': False" in str(raised.value.__cause__)
     assert "'lamp': True" in str(raised.value.__cause__)
+
+
+def test_a_camera_has_time_to_throw_the_first_frame_of_a_new_exposure_away(
+    engine: RunEngine, rig: RigFile, documents: list[tuple[str, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a capture: a camera that has no time for it keeps a frame that was exposed as before."""
+
+    @contextmanager
+    def opening(*asked: Any) -> Iterator[OpenRig]:
+        with open_rig(*asked) as opened:
+
+            class Slow:
+                def expose(self, exposure_s: float, deadline_s: float) -> RawFrame:
+                    thrown_away = opened.camera.expose(exposure_s, deadline_s)
+                    is_in_time = deadline_s > 2 * (exposure_s + TRANSFER_S) + ANSWER_S
+                    return thrown_away if is_in_time else replace(thrown_away, exposure_s=EXPOSURE_S)
+
+            yield replace(opened, camera=Slow())
+
+    def plan(devices: OphydRig) -> Plan:
+        yield from bps.mv(devices.camera.exposure_s, 20.0)
+        yield from bp.count([devices.camera])
+
+    monkeypatch.setattr("rigs.ophyd_devices.open_rig", opening)
+    with ophyd_rig(rig, Path()) as devices:
+        engine(plan(devices))
+    assert [data["camera-exposed_s"] for data in events(documents)] == [20.0]
 
 
 @pytest.mark.parametrize(

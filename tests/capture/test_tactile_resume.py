@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_schemas import CaptureError, TactileCapture, TactileSession
+from data_schemas import CaptureError, SignalChangedError, TactileCapture, TactileSession
 from data_schemas.storage import read_frame, read_record
 from rigs.capture import SessionRequest, capture_tactile_session, is_tactile, read_interrupted_presses
 from tests.capture.drivers import picamera2_stand_in
-from tests.capture.finger_session import PLAN, Hands, capture, plan_of, pressing, rig_of
+from tests.capture.finger_session import PLAN, RIG, Hands, capture, plan_of, pressing, rig_of
 from tests.command_line.running import finray
 
 
@@ -93,6 +93,58 @@ def test_captures_of_an_interrupted_session_are_made_anew(sensor, tmp_path):
 def interrupt_at_press_2(text: str) -> None:
     if text.startswith("Press 2"):
         raise KeyboardInterrupt
+
+
+def test_what_is_taken_again_twice_is_set_aside_beside_the_first(sensor, tmp_path):
+    """Also where a person has taken some of the files that were set aside away."""
+    out = tmp_path / "out"
+
+    def end_anew(content: bytes) -> None:
+        for name in ("session.json", "manifest-sha256.txt"):
+            (out / name).unlink(missing_ok=True)
+        next((out / "frames").glob("00002_contact*")).write_bytes(content)
+
+    capture(tmp_path, plan_of(tmp_path), rig_of(tmp_path), pressing(sensor))
+    end_anew(b"first")
+    resumed(tmp_path, pressing(sensor))
+    aside = out / "set-aside"
+    kept = next(aside.glob("*_contact*"))
+    kept.rename(aside / kept.name.replace("0000_", "0001_"))
+    for other in set(aside.iterdir()) - set(aside.glob("*_contact*")):
+        other.unlink()
+    end_anew(b"second")
+    resumed(tmp_path, pressing(sensor))
+    assert sorted(path.read_bytes() for path in aside.glob("*_contact*")) == [b"first", b"second"]
+
+
+@pytest.mark.parametrize("is_older", [False, True])
+def test_a_contact_before_a_changed_image_is_pressed_again(sensor, tmp_path, is_older):
+    """At the first exposure of the bracket the pad is too dim for a comparison, so its image proves nothing."""
+    plan = plan_of(tmp_path, PLAN.replace("[0.01]", "[0.0005, 0.01]"))
+    rig = rig_of(tmp_path, RIG + "black_level_dn = 64.0\n")
+    usual = pressing(sensor)
+
+    def dim(text: str) -> None:
+        usual.do(text)
+        if text.startswith(("Press 2", "Take")) and "Press 2" in "".join(hands.asked):
+            bright = sensor.scene
+            sensor.scene = lambda exposure_s: 64 + 0.5 * (bright(exposure_s) - 64)
+
+    hands = Hands(dim)
+    with pytest.raises(SignalChangedError, match="the contact before this image is repeated"):
+        capture(tmp_path, plan, rig, hands)
+    if is_older:
+        journal = tmp_path / "out" / "journal.jsonl"
+        journal.write_text(journal.read_text(encoding="utf-8").replace(', "place": 2, "link"', ', "link"'), "utf-8")
+    asked = pressing(sensor)
+    session = resumed(tmp_path, asked)
+    assert [text.split(":")[0] for text in asked.asked] == ["Press 2 of 2", "Take the indenter away from the pad."]
+    means = [
+        read_frame(tmp_path / "out" / frame.file, frame.sha256).mean()
+        for frame in session.frames
+        if (frame.frame_type, frame.exposure_requested_s) == ("contact", 0.01)
+    ]
+    assert means[0] == pytest.approx(means[1], rel=0.01)  # noise of 1 DN a pixel moves a mean by far less
 
 
 def test_session_does_not_go_on_with_another_camera(sensor, tmp_path, monkeypatch):

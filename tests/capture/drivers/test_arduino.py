@@ -301,6 +301,42 @@ class TestFaults:
             with pytest.raises(TimedOutError, match="answered none of the last 10 keep-alives"):
                 switch.keep_alive()
 
+    def test_a_question_that_was_damaged_on_its_way_is_asked_again(self):
+        """The firmware answers ERR to it, which says nothing of the light: a lit one used to count as off."""
+        again = [("host", b"?\nI\n"), ("device", b"ON\nLASER 1.2\n"), ("host", b"?\n"), ("device", b"ON\n")]
+        spoken = with_board(("host", b"?\n"), ("device", b"ERR\n"), *again)
+        with replayed(spoken) as address, open_switch(address, "laser", None) as switch:
+            assert switch.state(DEADLINE_S)
+        spoken = with_board(("host", b"?\n"), ("device", b"ERR\n"))
+        with (
+            replayed(spoken) as address,
+            open_switch(address, "laser", None) as switch,
+            pytest.raises(LostError, match=r"answers ERR to '\?', so the question was damaged on its way; check"),
+        ):
+            switch.state(0.1)
+
+    def test_an_answer_to_an_earlier_question_is_no_identity(self):
+        again = [("host", b"I\n"), ("device", b"LASER 1.2\n")] * 2
+        spoken = with_board(("host", b"I\n"), ("device", b"ON\n"), *again)
+        with replayed(spoken) as address, open_switch(address, "laser", None) as switch:
+            assert switch.identity().firmware == "1.2"
+
+    def test_a_keep_alive_that_was_damaged_on_its_way_leaves_the_light_on(self):
+        damaged = [("host", b"K\n"), ("device", b"ERR\n")]
+        with (
+            replayed(with_board(*damaged, ("host", b"K\n"), ("device", b"ON\n"), ("host", b"K\n"))) as address,
+            open_switch(address, "laser", None) as switch,
+        ):
+            for _ in range(3):
+                switch.keep_alive()
+                time.sleep(0.1)
+        with replayed(with_board(*damaged * MISSED_ANSWERS)) as address, open_switch(address, "laser", None) as switch:
+            for _ in range(MISSED_ANSWERS):
+                switch.keep_alive()
+                time.sleep(0.05)
+            with pytest.raises(TimedOutError, match="answered none of the last 10 keep-alives"):
+                switch.keep_alive()
+
     def test_mute_board_is_noticed(self):
         with (
             replayed(with_board(("host", b"K\n" * MISSED_ANSWERS))) as address,

@@ -64,6 +64,39 @@ def test_frame_is_what_was_asked(tmp_path: Path) -> None:
     assert identity.firmware.startswith("MMCore")
 
 
+@pytest.mark.parametrize("allowed", [("1", "2", "4"), ("1x1", "2x2"), ()])
+def test_binning_is_switched_off_in_the_words_of_the_adapter(
+    tmp_path: Path, adapters: Path, allowed: tuple[str, ...]
+) -> None:
+    """Micro-Manager's own camera counts 1, 2, 4; the adapter of PCO, for one, has 1x1, 2x2; some list nothing."""
+    from pymmcore import CMMCore
+
+    class Core(CMMCore):
+        binning = "before"
+
+        def getAllowedPropertyValues(self, device: str, name: str) -> tuple[str, ...]:  # noqa: N802
+            return allowed if name == "Binning" else super().getAllowedPropertyValues(device, name)
+
+        def setProperty(self, device: str, name: str, value: str) -> None:  # noqa: N802
+            if name != "Binning":
+                super().setProperty(device, name, value)
+            elif allowed and value not in allowed:
+                raise RuntimeError(f'Cannot set property "Binning" of device "{device}" to "{value}"')
+            else:
+                self.binning = value
+
+    core = Core()
+    core.setDeviceAdapterSearchPaths([str(adapters)])
+    (tmp_path / "rig.cfg").write_text("\n".join(DEMO) + "\n", encoding="utf-8")
+    camera = MicroManagerCamera(SETTINGS, tmp_path / "rig.cfg", core)
+    try:
+        camera.open()
+        assert camera.expose(EXPOSURE_S, DEADLINE_S).counts.shape == (SIDE_PX, SIDE_PX)
+    finally:
+        camera.close()
+    assert core.binning == (allowed or ("1",))[0]
+
+
 def test_adapters_are_found_beside_the_configuration(adapters: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MICROMANAGER_PATH")
     change = {"address": "MMConfig_demo.cfg", "bit_depth": 16}

@@ -25,6 +25,7 @@ from rigs.cameras._image_files import decoded_jpeg, jpeg_size_px
 from rigs.cameras.mjpeg import open_camera
 from rigs.capture._exposure import CheckedCamera
 from rigs.capture._plan import Step
+from rigs.light_guard.watch import OffLine
 from rigs.transports import Fault, MultipartStream, Part, fault_listener
 from tests.capture.drivers.programs import answers, free_port, require, wait_until
 
@@ -333,6 +334,23 @@ def test_addresses_of_a_name_share_the_deadline(monkeypatch):
             with pytest.raises(TimedOutError, match="did not answer in time"):
                 MultipartStream("http://camera/", "camera", began_s + 0.3)
             assert time.monotonic() - began_s < 0.6  # three times the deadline would be 0.9
+
+
+def test_an_address_of_a_family_that_the_computer_lacks_is_passed_over(monkeypatch):
+    """Without IPv6, localhost may still have its address first; a light's watch must find its server as well."""
+    with serving(stream_of(jpeg(1)), hold=True) as address:
+        there = ("127.0.0.1", int(address.split(":")[2].split("/")[0]))
+        lacked = (max(socket.AddressFamily) + 1, socket.SOCK_STREAM, 0, "", ("::1", there[1], 0, 0))
+        answering = (socket.AF_INET, socket.SOCK_STREAM, 0, "", there)
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *asked, **options: [lacked, answering])
+        with MultipartStream("http://camera/", "camera", time.monotonic() + 5.0) as stream:
+            assert stream.next_part(time.monotonic() + 5.0).body
+        OffLine(b"off", there).try_to_connect()
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *asked, **options: [lacked])
+        with pytest.raises(LostError, match="cannot be reached"):
+            MultipartStream("http://camera/", "camera", time.monotonic() + 5.0)
+        with pytest.raises(OSError, match="not supported"):
+            OffLine(b"off", there).try_to_connect()
 
 
 def test_nobody_there_is_lost():
