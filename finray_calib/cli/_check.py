@@ -4,7 +4,7 @@ Acceptance of a rig, gauge R&R, two tins of a paint, drift over sessions, and th
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
@@ -213,19 +213,21 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
             f"{path}: the header must name the columns sample, session, and paint or value (mount is optional), but "
             f"its columns are {', '.join(columns) or 'missing'}"
         )
-    found = []
+    found, paints = [], []
     for line, cells in rows:
         row = dict(zip(columns, cells, strict=False))
         if any(not row.get(name) for name in ("sample", "session", value)):
             raise RecordError(f"{path}, line {line}: an entry is missing; give sample, session and {value}")
         if value == "paint":
-            number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
+            paints.append(path.parent / row["paint"])
+            number = read_record(paints[-1], PaintCalibration).parameters[quantity].estimate
         else:
             try:
                 number = finite_number(row["value"])
             except ValueError as fault:
                 raise RecordError(f"{path}: line {line}: value: {fault}") from None
         found.append((row["sample"], row["session"], row.get("mount", ""), number))
+    _require_different(paints, "capture")
     return found
 
 
@@ -303,14 +305,14 @@ def _margin(text: str) -> "tuple[ComparedQuantity, float]":
     return known, margin
 
 
-def _require_different(paths: list[Path]) -> None:
+def _require_different(paths: Sequence[Path], of: str = "coat") -> None:
     """Refuse a calibration that is given twice, also by another name: it would agree with itself."""
     from data_schemas import FinrayError, digest_of_input
 
     first: dict[str, Path] = {}
     for path in paths:
         if (other := first.setdefault(digest_of_input(path), path)) is not path:
-            raise FinrayError(f"{other} and {path} are the same calibration; give one calibration for each coat")
+            raise FinrayError(f"{other} and {path} are the same calibration; give one calibration for each {of}")
 
 
 def run_equivalence(arguments: argparse.Namespace) -> int:
