@@ -539,7 +539,7 @@ def _path_from(folder: Path, path: Path) -> str:
 
 MANIFEST_NAME: Final = "manifest-sha256.txt"
 FileState = Literal["missing", "changed", "stale"]
-_LINE: Final = re.compile(r"([0-9a-f]{64})  (\S.*)")
+_LINE: Final = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -599,8 +599,10 @@ def read_manifest(folder: Path) -> dict[str, str]:
     """
     path = folder / MANIFEST_NAME
     listed: dict[str, str] = {}
-    for number, line in enumerate(read_text(path, "checksums as 'sha256sum' writes them").splitlines(), 1):
-        match = _LINE.fullmatch(line)
+    text = read_text(path, "checksums as 'sha256sum' writes them").removesuffix("\n")
+    # a name may hold what else splits lines, such as a form feed
+    for number, line in enumerate(text.split("\n") if text else (), 1):
+        match = _LINE.fullmatch(line.removesuffix("\r"))
         name = "" if match is None else match[2]
         if match is None or PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts or name in listed:
             raise RecordError(
@@ -627,7 +629,7 @@ def manifest_faults(folder: Path, known: Mapping[Path, str] | None = None) -> tu
     try:
         listed = read_manifest(folder)
     except RecordError as error:
-        return [FileFault(path, "changed", str(error).removeprefix(f"{path}"))], []
+        return [FileFault(path, "changed", str(error).removeprefix(f"{path}").lstrip(":, "))], []
     faults = [fault for name, digest in listed.items() for fault in _fault(folder / name, digest, known or {})]
     unlisted = sorted(
         file

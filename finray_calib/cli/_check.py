@@ -4,7 +4,7 @@ Acceptance of a rig, gauge R&R, two tins of a paint, drift over sessions, and th
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
@@ -213,19 +213,21 @@ def _measurements(path: Path, quantity: str) -> "list[tuple[str, str, str, float
             f"{path}: the header must name the columns sample, session, and paint or value (mount is optional), but "
             f"its columns are {', '.join(columns) or 'missing'}"
         )
-    found = []
+    found, paints = [], []
     for line, cells in rows:
         row = dict(zip(columns, cells, strict=False))
         if any(not row.get(name) for name in ("sample", "session", value)):
             raise RecordError(f"{path}, line {line}: an entry is missing; give sample, session and {value}")
         if value == "paint":
-            number = read_record(path.parent / row["paint"], PaintCalibration).parameters[quantity].estimate
+            paints.append(path.parent / row["paint"])
+            number = read_record(paints[-1], PaintCalibration).parameters[quantity].estimate
         else:
             try:
                 number = finite_number(row["value"])
             except ValueError as fault:
                 raise RecordError(f"{path}: line {line}: value: {fault}") from None
         found.append((row["sample"], row["session"], row.get("mount", ""), number))
+    _require_different(paints, "capture")
     return found
 
 
@@ -303,14 +305,14 @@ def _margin(text: str) -> "tuple[ComparedQuantity, float]":
     return known, margin
 
 
-def _require_different(paths: list[Path]) -> None:
+def _require_different(paths: Sequence[Path], of: str = "coat") -> None:
     """Refuse a calibration that is given twice, also by another name: it would agree with itself."""
     from data_schemas import FinrayError, digest_of_input
 
     first: dict[str, Path] = {}
     for path in paths:
         if (other := first.setdefault(digest_of_input(path), path)) is not path:
-            raise FinrayError(f"{other} and {path} are the same calibration; give one calibration for each coat")
+            raise FinrayError(f"{other} and {path} are the same calibration; give one calibration for each {of}")
 
 
 def run_equivalence(arguments: argparse.Namespace) -> int:
@@ -540,13 +542,15 @@ def run_certificate(arguments: argparse.Namespace) -> int:
     details = (
         CertificateDetails() if arguments.laboratory is None else read_toml(arguments.laboratory, CertificateDetails)
     )
-    session, is_simulated, lineage = _found(path)
-    measured_on = None if session is None else datetime.fromisoformat(session.frames[-1].captured_utc).date()
+    sessions, is_simulated, lineage = _found(path)
+    measured_on = None
+    if len(sessions) == 1:
+        measured_on = datetime.fromisoformat(sessions[0].frames[-1].captured_utc).date()
     with naming(FinrayError, path):
         results = certified_results(paint, details, measured_on, is_simulated=is_simulated)
     budget = () if arguments.budget is None else _budget(arguments.budget, paint)
     today = datetime.now(UTC).date()
-    certificate = paint_certificate(paint, results, details, digest_of_input(path), today, session, budget, lineage)
+    certificate = paint_certificate(paint, results, details, digest_of_input(path), today, sessions, budget, lineage)
     with ProductSet(page) as products:
         products.add(pdf, certificate_pdf(certificate, paint))
         products.add(page, certificate_page(certificate, paint).encode())
@@ -569,8 +573,8 @@ def _budget(path: Path, paint: "PaintCalibration") -> "tuple[BudgetRow, ...]":
         return uncertainty_budget(read_record(path, BandSignals), paint, seed)
 
 
-def _found(path: Path) -> "tuple[CaptureSession | None, bool | None, str]":
-    """Return the session that a calibration was made from, whether its rig was simulated, and what was found of files.
+def _found(path: Path) -> "tuple[list[CaptureSession], bool | None, str]":
+    """Return the sessions that a calibration was made from, whether a rig was simulated, and what was found of files.
 
     A calibration that is not as it was written is refused where it is read; files that it was made from and that were
     changed since are named.
@@ -593,14 +597,14 @@ def _found(path: Path) -> "tuple[CaptureSession | None, bool | None, str]":
         if not faults
         else f"Of the files behind the calibration, {len(faults)} were not found and not verified."
     )
-    return *_session(tree), told
+    return *_sessions(tree), told
 
 
-def _session(tree: "Traced") -> "tuple[CaptureSession | None, bool | None]":
-    """Return the only paint session of a tree, and whether any was of a simulated rig.
+def _sessions(tree: "Traced") -> "tuple[list[CaptureSession], bool | None]":
+    """Return the paint sessions of a tree, and whether any was of a simulated rig.
 
-    Several lights have several sessions, and none speaks for all. Whether the rig was simulated is None where none was
-    and a session, or band signals that would name one, were not found.
+    Whether the rig was simulated is None where none was and a session, or band signals that would name one, were not
+    found.
     """
     from rigs.capture import read_session
 
@@ -612,7 +616,7 @@ def _session(tree: "Traced") -> "tuple[CaptureSession | None, bool | None]":
     is_whole = bool(signals) and not any(one.path is None and one.name.endswith(".json") for one in tree.inputs)
     is_whole &= all(any(one.kind == "CaptureSession" for one in part.inputs) for part in signals)
     is_simulated = any(session.rig.is_simulated for session in sessions)
-    return sessions[0] if len(sessions) == 1 else None, True if is_simulated else False if is_whole else None
+    return sessions, True if is_simulated else False if is_whole else None
 
 
 def _say(results: "tuple[CertifiedResult, ...]", traceability: str) -> None:

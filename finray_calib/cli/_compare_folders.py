@@ -368,8 +368,9 @@ class _Workers:
                     found[start] = result
                     progress(sum(map(len, found.values())), len(jobs), jobs[start].name)
         finally:
-            while not todo.empty():
-                todo.get_nowait()
+            with contextlib.suppress(queue.Empty):  # the threads take from it, too
+                while True:
+                    todo.get_nowait()
             if any(thread.is_alive() for thread in threads) and len(found) * size < len(jobs):
                 for child in self._children:
                     child.kill(signal.SIGINT)

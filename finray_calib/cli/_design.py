@@ -20,6 +20,7 @@ from finray_calib.cli._run import (
     open_engine,
     path_count,
     require_new,
+    with_files_found_from,
 )
 
 if TYPE_CHECKING:
@@ -578,7 +579,7 @@ def run_lights(arguments: argparse.Namespace) -> None:
     record = light_powers(design, lights, apart.basis, limits, found, apart.places_mm, error, apart.mapped)
     record = record.model_copy(update={"notes": (*record.notes, *apart.notes)})
     origin = provenance(command_line(), input_digests([*files, *apart.paints]), arguments.seed)
-    _store_powers(out, record, origin)
+    _store_powers(out, record, origin, folder)
     _report_powers(record)
     wrote(out, "powers, basis and draws")
     wrote(out.with_suffix(".toml"), "the design with these powers")
@@ -634,7 +635,7 @@ def _sensor_lights(
     return _LightsApart(*render_each_light(scene, 6, progress))
 
 
-def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> None:
+def _store_powers(out: Path, record: "LightPowers", origin: "Provenance", folder: Path) -> None:
     """Store the record, its page and the design with the new powers together."""
     from data_schemas import FingerDesign
     from data_schemas.storage import ProductSet, write_record
@@ -644,6 +645,7 @@ def _store_powers(out: Path, record: "LightPowers", origin: "Provenance") -> Non
 
     page, file = new_page_beside(out), require_new(out.with_suffix(".toml"))
     changed = with_changed_values(record.subject, {row.field: round(row.power_rel, 4) for row in record.rows})
+    changed = with_files_found_from(out.parent, changed, folder)
     text = design_toml(changed) if isinstance(changed, FingerDesign) else sensor_toml(changed)
     with ProductSet(out) as products:
         products.add(page, light_powers_page(record, origin.command, origin.input_sha256).encode())

@@ -28,6 +28,7 @@ from finray_calib.cli._run import (
     require_folder,
     require_new,
     whole_number,
+    with_files_found_from,
 )
 from finray_calib.cli._study_run import calibrated_paints, stand_in_paints
 
@@ -238,7 +239,7 @@ def run_optimise(arguments: argparse.Namespace) -> None:
         again = confirmed_losses(compared, objectives, evaluations, arguments.confirm, progress)
     notes = () if light is None else tuple(f"{colour} paint: {where}" for colour, where in light.sources.items())
     optimum = design_optimum(searched, again, arguments.seed, notes)
-    finger = _store_optimum(out, optimum, origin)
+    finger = _store_optimum(out, optimum, origin, folder)
     _report_optimum(optimum)
     wrote(finger, "the recommended finger")
     wrote(out, f"{OPTIMUM_NAME}, {OPTIMUM_PAGE_NAME} and {EVALUATIONS}/ ({evaluations.computed} computed now)")
@@ -288,7 +289,7 @@ def light_measure(
     ), [*files.values(), *named.values()]
 
 
-def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") -> Path:
+def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance", folder: Path) -> Path:
     """Store finger, page and search together, in place of those of an earlier run; return the finger's file."""
     from data_schemas.storage import ProductSet, write_record
     from finray_calib.reports.studies import optimum_page
@@ -299,7 +300,7 @@ def _store_optimum(out: Path, optimum: "DesignOptimum", origin: "Provenance") ->
         file.unlink(missing_ok=True)
     page = optimum_page(optimum, origin.command, origin.input_sha256, origin.package_version)
     with ProductSet(out / OPTIMUM_NAME) as products:
-        products.add(finger, design_toml(optimum.design).encode())
+        products.add(finger, design_toml(with_files_found_from(out, optimum.design, folder)).encode())
         products.add(out / OPTIMUM_PAGE_NAME, page.encode())
         write_record(optimum, out / OPTIMUM_NAME, origin, products)
     return finger
@@ -507,7 +508,9 @@ def run_assess(arguments: argparse.Namespace) -> None:
         light = design.light.model_copy(update={"angle_deg": decision.angle_deg})
         design = design.model_copy(update={"light": light})
         if not (parts.out / "finger.toml").exists():
-            write_bytes(parts.out / "finger.toml", design_toml(_with_whole_paths(design, folder)).encode())
+            write_bytes(
+                parts.out / "finger.toml", design_toml(with_files_found_from(parts.out, design, folder)).encode()
+            )
         tolerances = parts.part(
             "tolerances", FingerTolerances, lambda: _tolerances(arguments, design, folder, paints, settings),
             lambda found: tolerance_page(found, command_line(), inputs),
@@ -601,7 +604,7 @@ def _swept(
         parts.part(
             f"{share * design.pad.length_mm:04.1f}mm.sweep",
             LightAngleSweep,
-            functools.partial(_sweep, arguments, _with_whole_paths(design, folder), paints, number),
+            functools.partial(_sweep, arguments, with_files_found_from(None, design, folder), paints, number),
         )
         for number, share in enumerate(_PLACES_REL)
     ]
@@ -627,19 +630,6 @@ def _decided(sweeps: "Sequence[LightAngleSweep]", seed: int) -> "LightAngleDecis
     from finray_calib.decide import decide
 
     return decide(sweeps, [], seed)
-
-
-def _with_whole_paths(design: "FingerDesign", folder: Path) -> "FingerDesign":
-    """Return a design whose files are found from anywhere."""
-    camera = {name: str((folder / file).absolute()) for name in ("calibration", "response")
-              if (file := getattr(design.camera, name)) not in (None, "ideal", "assumed")}  # fmt: skip
-    file = design.indenter.file
-    indenter = {} if file is None else {"file": str((folder / file).absolute())}
-    parts = {
-        "camera": design.camera.model_copy(update=camera),
-        "indenter": design.indenter.model_copy(update=indenter),
-    }
-    return design.model_copy(update=parts)
 
 
 def _stiffness(arguments: argparse.Namespace, design: "FingerDesign") -> "FingerStiffness":

@@ -86,6 +86,7 @@ def _one_design(arguments: argparse.Namespace) -> Path:
 
     if arguments.dialect is None:
         raise RecordError(f"--dialect is missing, but a deck needs it; give one of {', '.join(DIALECTS)}")
+    refuse_taxim_options(arguments)
     for name in ("format", "led", "camera_response"):
         if getattr(arguments, name) is not None:
             raise RecordError(f"--{name.replace('_', '-')} is only for paints; leave it out for a deck")

@@ -31,6 +31,7 @@ from finray_calib.cli._run import (
     naming,
     paint_files,
     require_new,
+    with_files_found_from,
     working_engine,
 )
 
@@ -432,7 +433,7 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
     from sim import design_toml, sensor_toml
     from sim.experiments import fitted_design
 
-    out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}{_OUT_ENDING}"))
+    out = require_new(arguments.out or Path(f"{file_name(arguments.design.stem)}{_OUT_ENDING}"), ".json")
     toml = require_new(out.with_name(f"{out.name.removesuffix('.json').removesuffix('.sensor')}.fitted.toml"))
     if arguments.samples < 2 or arguments.samples % 2:
         raise SimulateError(
@@ -445,7 +446,7 @@ def run_sensor_fit(arguments: argparse.Namespace) -> None:
             seed=arguments.seed, progress=progress, samples=arguments.samples, engine=working_engine(arguments.engine),
             shared_light=arguments.shared_light, paints_as_given=arguments.paints_as_given,
         )  # fmt: skip
-    design = fitted_design(fit)
+    design = with_files_found_from(toml.parent, fitted_design(fit), arguments.design.parent)
     text = design_toml(design) if isinstance(design, FingerDesign) else sensor_toml(design)
     read = {} if fit.provenance is None else fit.provenance.input_sha256
     with ProductSet(out) as products:

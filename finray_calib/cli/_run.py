@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from data_schemas import FinrayError, ProcessDiedError, RecordError, SimulateError
 from data_schemas import naming as naming
@@ -36,6 +36,7 @@ from finray_calib.cli._output import warn as warn
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from data_schemas import FingerDesign, PlainSensor
     from sim.optics import Preference
 
 
@@ -265,6 +266,25 @@ def require_folder(path: Path) -> Path:
     if path.exists() and not path.is_dir():
         raise RecordError(f"{path}: is a file, but a folder is to be written there; choose another --out")
     return require_place(path)
+
+
+Designed = TypeVar("Designed", bound="FingerDesign | PlainSensor")
+
+
+def with_files_found_from(place: Path | None, design: Designed, folder: Path) -> Designed:
+    """Return a design of one folder whose files are found from another, where its TOML is written; None: from all."""
+    if place is not None and place.resolve() == folder.resolve():
+        return design
+    named = {"camera": ("calibration", "response"), "indenter": ("file",), "surface": ("file",)}
+    parts = {}
+    for table, fields in named.items():
+        part = getattr(design, table, None)
+        files = {field: getattr(part, field, None) for field in fields}
+        kept = {field: file for field, file in files.items() if file not in (None, "ideal", "assumed")}
+        if part is not None and kept:
+            whole = {field: str((folder / file).absolute()) for field, file in kept.items()}
+            parts[table] = part.model_copy(update=whole)
+    return cast("Designed", design.model_copy(update=parts))
 
 
 def input_digests(paths: Iterable[Path]) -> dict[str, str]:

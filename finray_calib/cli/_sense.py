@@ -38,6 +38,7 @@ def add_sense(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     _add_scale(jobs)
 
 
+DICTIONARY = "DICT_4X4_50"
 PIXEL_SCALE_HELP = "calibrate the camera and measure millimetres per pixel on the pad, with a ChArUco board"
 PIXEL_SCALE_DESCRIPTION = """\
 Calibrate the lens and measure how many millimetres a pixel spans on the pad, along rows and along columns,
@@ -64,10 +65,7 @@ def _add_scale(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument("--square-mm", type=float, metavar="MM", help="measured side of a printed square in mm")
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker")
     parser.add_argument(
-        "--dictionary",
-        default="DICT_4X4_50",
-        metavar="NAME",
-        help="OpenCV dictionary of the board's markers (default: DICT_4X4_50)",
+        "--dictionary", metavar="NAME", help=f"OpenCV dictionary of the board's markers (default: {DICTIONARY})"
     )
     parser.add_argument(
         "--square-u-mm", type=float, metavar="MM", help="standard uncertainty in mm of the side of a square; required"
@@ -164,15 +162,20 @@ def board_pictures(arguments: argparse.Namespace) -> "tuple[CharucoBoard, Path, 
 
     files: list[Path] = arguments.lens
     if len(files) == 1 and files[0].is_dir():
-        if any(value is not None for value in (arguments.pad, arguments.plan, arguments.squares)):
+        if any(value is not None for value in (arguments.pad, arguments.plan, *_of_the_board(arguments).values())):
             raise CompareError(
                 f"{files[0]}: is a session, which already contains its pictures and its board; leave out --pad, "
-                "--plan and --squares"
+                "--plan, --squares, --square-mm, --marker-mm and --dictionary, or give the pictures by name"
             )
         return _session_pictures(files[0])
     if arguments.pad is None:
         raise CompareError("--pad is missing; give the picture of the board lying where the coat of the pad is")
     return _board(arguments), arguments.pad, _others(files, arguments.pad)
+
+
+def _of_the_board(arguments: argparse.Namespace) -> "dict[str, str | float | None]":
+    """Return what the options say of the printed board; None where they say nothing."""
+    return {name: getattr(arguments, name) for name in ("squares", "square_mm", "marker_mm", "dictionary")}
 
 
 def _others(files: list[Path], pad: Path) -> list[Path]:
@@ -229,10 +232,12 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
     from data_schemas import CharucoBoard, CompareError, FieldError, TactilePlan
     from data_schemas.storage import read_toml
 
-    given = {name: getattr(arguments, name) for name in ("squares", "square_mm", "marker_mm")}
+    given = _of_the_board(arguments)
     if arguments.plan is not None:
         if any(value is not None for value in given.values()):
-            raise CompareError("--plan already describes the board; leave --squares, --square-mm and --marker-mm out")
+            raise CompareError(
+                "--plan already describes the board; leave --squares, --square-mm, --marker-mm and --dictionary out"
+            )
         plan = read_toml(arguments.plan, TactilePlan)
         if plan.board is None:
             raise CompareError(
@@ -240,21 +245,22 @@ def _board(arguments: argparse.Namespace) -> "CharucoBoard":
                 "--square-mm and --marker-mm instead of --plan"
             )
         return plan.board
-    missing = [f"--{name.replace('_', '-')}" for name, value in given.items() if value is None]
+    needed = ("squares", "square_mm", "marker_mm")
+    missing = [f"--{name.replace('_', '-')}" for name in needed if given[name] is None]
     if missing:
         raise CompareError(
             f"{', '.join(missing)}: missing, but needed to measure lengths; give the number of squares and the sides "
             "of squares and markers (mm), or --plan with a [board] table"
         )
-    along, separator, across = given["squares"].partition("x")
-    if not separator or not along.isdigit() or not across.isdigit():
-        raise CompareError(f"--squares {given['squares']}: must be two whole numbers such as 7x5")
+    along, separator, across = arguments.squares.partition("x")
+    if not separator or not along.isdecimal() or not across.isdecimal():
+        raise CompareError(f"--squares {arguments.squares}: must be two whole numbers such as 7x5")
     try:
         return CharucoBoard(
             squares=(int(along), int(across)),
-            square_mm=given["square_mm"],
-            marker_mm=given["marker_mm"],
-            dictionary=arguments.dictionary,
+            square_mm=arguments.square_mm,
+            marker_mm=arguments.marker_mm,
+            dictionary=arguments.dictionary or DICTIONARY,
         )
     except FieldError as error:
         raise CompareError(f"board: {error}") from None
@@ -366,6 +372,13 @@ def _circled(captures: "list[TactileCapture]", files: list[Path], circles: Path 
     if circles is None:
         return captures
     found = read_circles(circles)
+    names = [path.name for path in files]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise CompareError(
+            f"{circles}: two captures have the name {twice}, so the file does not say whose circle it holds; rename "
+            "one of these captures, in its folder and in the column 'image'"
+        )
     missing = [path.name for path in files if path.name not in found]
     if missing:
         raise CompareError(

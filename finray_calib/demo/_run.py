@@ -231,8 +231,11 @@ def _require_complete(folder: Path) -> None:
 
 def note_time(out: Path, stage: Stage, seconds: float) -> None:
     """Add the wall time (s) of a finished stage to those of the folder."""
-    with (out / TIMES).open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"kind": stage.kind, "stage": stage.words, "seconds": round(seconds, 3)}) + "\n")
+    path = out / TIMES
+    is_cut_off = path.is_file() and not read_text(path).endswith("\n")
+    line = json.dumps({"kind": stage.kind, "stage": stage.words, "seconds": round(seconds, 3)})
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" * is_cut_off + line + "\n")
         file.flush()
         os.fsync(file.fileno())
 

@@ -103,7 +103,7 @@ def _expressions(recipe: Recipe, pattern: str) -> tuple[re.Pattern[str], re.Patt
 
 
 def press_files(folder: Path, recipe: Recipe, count: Callable[[Path, str], int]) -> Iterator[tuple[str, PressFile]]:
-    """Return name and file of every press, in the order of their names, numbers by value.
+    """Return name and file of every press, in the order of their names, whole numbers by value.
 
     Parameters
     ----------
@@ -179,7 +179,8 @@ def _ordered(folder: Path, recipe: Recipe, found: Mapping[str, PressFile]) -> It
             f"({recipe.presses.files}); give the parent folder, or correct presses.files (upper and lower case count)"
             + _seen(folder)
         )
-    ordered = sorted(found, key=lambda name: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", name)])
+    # digits stand at the odd places
+    ordered = sorted(found, key=lambda name: [int(p) if k % 2 else p for k, p in enumerate(re.split(r"(\d+)", name))])
     if len(ordered) > MOST_PRESSES:
         raise ImportFormatError(
             f"{folder}: contains {len(ordered)} presses, but at most {MOST_PRESSES} are supported; give a smaller "

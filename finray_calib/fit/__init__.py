@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         linear_cells,
         patch_colours,
     )
-    from finray_calib.fit._detection import detect_emission
+    from finray_calib.fit._detection import allowed_stray_per_nm, detect_emission
     from finray_calib.fit._emission import (
         EmissionPosterior,
         FitSettings,
@@ -137,6 +137,7 @@ __all__ = [
     "SamplerSettings",
     "Summary",
     "TwoMaxima",
+    "allowed_stray_per_nm",
     "autocorrelation_time",
     "band_data",
     "bulk_ess",

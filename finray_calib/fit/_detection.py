@@ -28,7 +28,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from data_schemas import BandSignals, BandUncertainty, EmissionDetection
+from data_schemas import BandSignals, BandUncertainty, EmissionDetection, Optics
 from finray_calib.fit._band_data import BandData, band_leak_sd, band_values, leak_slopes
 from finray_calib.fit._prior import EmissionPrior
 from finray_calib.spectra import family_named
@@ -172,10 +172,15 @@ def blank_model(bands: BandSignals, data: BandData, ln_blocking_sd: float) -> Bl
     ln_covariance = ln_blocking_sd**2 + np.diag(band_leak_sd(data.leak_sd, weights) ** 2)
     covariance = data.covariance_without_tile(rows) + spread @ np.expm1(ln_covariance) @ spread.T
     mean = reflectance * per_reflectance
-    usual_rel, stated_rel = BandUncertainty().stray_light_rel, bands.optics.band_uncertainty.stray_light_rel
-    stray_per_nm = STRAY_PER_NM * max(stated_rel / usual_rel, 1.0)
+    stray_per_nm = allowed_stray_per_nm(bands.optics)
     columns = _imperfections(data, rows, mean, reflectance, stray_per_nm)
     return BlankModel(rows, mean, covariance + columns @ columns.T, per_reflectance, reflectance, stray_per_nm)
+
+
+def allowed_stray_per_nm(optics: Optics) -> float:
+    """Return the standard deviation (1/nm) of the light beside the laser's line, over the light in the line."""
+    usual_rel, stated_rel = BandUncertainty().stray_light_rel, optics.band_uncertainty.stray_light_rel
+    return STRAY_PER_NM * max(stated_rel / usual_rel, 1.0)
 
 
 def draw_blanks(

@@ -198,8 +198,15 @@ def dsnu_e(channel: ChannelCharacterisation) -> Resolvable:
     gain, dsnu = channel.gain_e_per_dn, channel.dsnu_dn
     factor = gain.estimate
     sd = math.hypot(factor * dsnu.sd, dsnu.estimate * gain.sd)
-    ends = {name: factor * getattr(dsnu, name) for name in ("low68", "high68", "low95", "high95")}
-    return Resolvable(estimate=factor * dsnu.estimate, sd=sd, resolved=dsnu.resolved, **ends)
+    estimate = factor * dsnu.estimate
+
+    def away(end: str) -> float:
+        of_dsnu, of_gain = (getattr(value, end) - value.estimate for value in (dsnu, gain))
+        return math.hypot(factor * of_dsnu, dsnu.estimate * of_gain)
+
+    ends = {end: max(estimate - away(end), 0.0) if end.startswith("low") else estimate + away(end)
+            for end in ("low68", "high68", "low95", "high95")}  # fmt: skip
+    return Resolvable(estimate=estimate, sd=sd, resolved=dsnu.resolved, **ends)
 
 
 Quantity = Callable[[ChannelCharacterisation], Estimate | None]

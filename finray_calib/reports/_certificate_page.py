@@ -98,7 +98,7 @@ def paint_certificate(
     details: CertificateDetails,
     sha256: str,
     issued_on: date,
-    session: CaptureSession | None = None,
+    sessions: Sequence[CaptureSession] = (),
     budget: Sequence[BudgetRow] = (),
     lineage: str = "",
 ) -> Certificate:
@@ -112,14 +112,16 @@ def paint_certificate(
         Of the file of the calibration.
     issued_on
         Day of issue.
-    session
-        The session that the paint was measured in; left out where it was not found.
+    sessions
+        Those that the paint was measured in, as far as they were found. Of several, none states date, devices and
+        conditions for all.
     budget
         By source, where it was computed.
     lineage
         What was found of the files that the calibration was made from.
     """
     number = details.number or f"FR-{sha256[:12]}"
+    session = sessions[0] if len(sessions) == 1 else None
     return Certificate(
         paint_name=paint.paint_name,
         number=number,
@@ -130,7 +132,7 @@ def paint_certificate(
         else None,
         budget_rows=tuple(row for row in budget if row.quantity in _SHORT),
         instruments=_instruments(paint, details, session),
-        traceability=traceability_of(results, is_simulated=session is not None and session.rig.is_simulated),
+        traceability=traceability_of(results, is_simulated=any(one.rig.is_simulated for one in sessions)),
         conformity=_conformity(results),
         key_numbers=tuple(_key_number(result) for result in results[:3]),
         light=_light(results),
@@ -469,8 +471,9 @@ def certificate_pdf(certificate: Certificate, paint: PaintCalibration) -> bytes:
         buffer = io.BytesIO()
         with PdfPages(buffer, metadata={"CreationDate": None, "Title": f"Certificate {certificate.number}"}) as pdf:
             for number, page in enumerate(laid.pages, 1):
-                foot = f"{certificate.end.partition('. ')[0]}, page {number} of {len(laid.pages)}. "
-                page.text(_LEFT, 0.03, foot + certificate.end.partition(". ")[2], fontsize=6.5, color=MUTED)
+                of = f"Certificate {certificate.number}"
+                foot = f"{of}, page {number} of {len(laid.pages)}. {certificate.end.removeprefix(f'{of}. ')}"
+                page.text(_LEFT, 0.03, foot, fontsize=6.5, color=MUTED, parse_math=False)
                 pdf.savefig(page)
     return buffer.getvalue()
 

@@ -99,8 +99,11 @@ def comparison_verdict(report: PhotometricErrorReport) -> Verdict:
 
 def verdict_meaning(report: PhotometricErrorReport) -> str:
     """Say what the verdict lets the reader do."""
-    left = percent(max(1 - report.headline_skill.estimate, 0.0))
     skill, floor = report.headline_skill, row_of(headline(report), "floor")
+    predicts = "all of what the touch changes, within the uncertainty of the skill."
+    if skill.estimate < 1:
+        left = percent(1 - skill.estimate)
+        predicts = f"what the touch changes, but not all of it: {left} of the squared change remains unexplained."
     wide = ""
     if floor is not None and skill.high95 >= floor.skill.low95:
         wide = (
@@ -111,8 +114,7 @@ def verdict_meaning(report: PhotometricErrorReport) -> str:
         "As good as this capture can show": "The difference between render and capture is no larger than that "
         "between two captures of the same touch. This capture could not "
         "distinguish a better simulation from this one.",
-        "Better than no simulation": f"The simulation predicts what the touch changes, but not all of it: {left} of "
-        f"the squared change remains unexplained. The error map shows where.{wide}",
+        "Better than no simulation": f"The simulation predicts {predicts} The error map shows where.{wide}",
         "Not distinguishable from no simulation": "This capture gives no reason to prefer the simulation to an image "
         "of the "
         "untouched pad. Do not rely on the simulated touch; look at the findings, the pose and the light first.",
@@ -310,9 +312,9 @@ def white_balance_sentence(drift: WhiteBalanceDrift) -> str:
     if drift.corrected:
         done = "Each side was divided by its own gain, so that an unchanged image with such a gain scores 0."
     return (
-        f"Far from the contact the capture changes most in {CHANNELS[worst]}, by {signed_percent(gain - 1.0)}, but the "
-        f"simulation changes by {signed_percent(expected - 1.0)} (standard uncertainty {percent(drift.u_rel[worst])}). "
-        f"{done}"
+        f"Far from the contact, capture and simulation differ most in {CHANNELS[worst]}: the capture changes by "
+        f"{signed_percent(gain - 1.0)}, the simulation by {signed_percent(expected - 1.0)} (standard uncertainty "
+        f"{percent(drift.u_rel[worst])}). {done}"
     )
 
 
@@ -576,16 +578,9 @@ def budget_table(report: PhotometricErrorReport) -> ReportTable:
         )
         for line in lines
     ]
-    objective = hypot(*(line.objective_u_rel or 0.0 for line in lines))
-    rows.append(
-        (
-            "root of the sum of squares",
-            significant(total, 2),
-            "100 %",
-            percent(objective),
-            NO_VALUE,
-        )
-    )
+    known = [line.objective_u_rel for line in lines if line.objective_u_rel is not None]
+    objective = percent(hypot(*known)) if known else NO_VALUE
+    rows.append(("root of the sum of squares", significant(total, 2), "100 %", objective, NO_VALUE))
     columns = ("input", "u of the skill (1)", "share", "u of the brightness", "known from")
     return one_group("What each input adds: standard uncertainty u with this input alone", columns, rows, True)
 
@@ -617,10 +612,12 @@ def validation_table(report: PhotometricErrorReport) -> ReportTable:
 
 def causes_sentence(found: ErrorAttribution) -> str:
     """Say what most of the skill is lost by."""
+    if found.skill_lost <= 0.0:  # noise is subtracted from the squared error
+        return f"No skill is lost: 1 - skill is {fixed(found.skill_lost, 3)}, so that no cause has a share of a loss."
     lost = f"A skill of {fixed(found.skill_lost, 3)} is lost"
     if not found.causes:
         return f"{lost}; no small change of the simulation explains any part of it."
-    first, share = found.causes[0], found.causes[0].skill_lost / max(found.skill_lost, 1e-12)
+    first, share = found.causes[0], found.causes[0].skill_lost / found.skill_lost
     return (
         f"{lost}, {fixed(first.skill_lost, 3)} of it by {first.cause} ({percent(share)}). Each picture shows what one "
         "cause changes in the image, relative to the untouched level."

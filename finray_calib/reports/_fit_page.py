@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from data_schemas import BandSignals, PaintCalibration, PaintWithoutEmission, package_version
-from finray_calib.fit import BudgetRow
+from finray_calib.fit import BudgetRow, allowed_stray_per_nm
 from finray_calib.reports import _fit_statements as said
 from finray_calib.reports._fit_figures import (
     absorption_figure,
@@ -492,13 +492,17 @@ def _findings(paint: PaintWithoutEmission) -> tuple[str, ...]:
     )
 
 
+_VISIBLE_NM: Final = 300.0
+
+
 def _limits(paint: PaintWithoutEmission) -> tuple[str, ...]:
     """Return what the decision does not know."""
     found = paint.detection
     return (
         f"Emission with its mode beyond {found.limit_high_nm:.0f} nm is not seen by these filters.",
         "The limit depends on the filters' blocking as the rig file states it, and on an allowance for stray light of "
-        "0.03 % of the laser. Filters that leak more make samples without emission look like paints.",
+        f"{100 * _VISIBLE_NM * allowed_stray_per_nm(paint.optics):.2g} % of the laser. Filters that leak more make "
+        "samples without emission look like paints.",
         f"Of all samples without any emission, {percent(found.false_alarm)} are wrongly called paints.",
     )
 

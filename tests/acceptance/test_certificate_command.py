@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from data_schemas import CERTIFIED, BandUncertainty, CertificateDetails, SessionScatter, provenance
 from data_schemas.storage import sha256_of, write_record
@@ -88,6 +89,10 @@ def test_nothing_is_traceable_whose_session_is_away_or_of_a_simulated_rig(measur
 
     for paint in ("red.paint.json", "both.paint.json"):
         assert "reflectance: not traceable: no paint was measured" in told(paint)
+    simulated = "no paint was measured, because the rig is simulated; not traceable: no reference certificate recorded"
+    for paint in ("red.paint.json", "both.paint.json"):
+        assert main(["certificate", str(lab / paint), "--out", str(tmp_path / f"bare-{paint}.html")]) == 0
+        assert simulated in " ".join(capsys.readouterr().out.split())
     shutil.move(lab / "second", tmp_path / "gone-2")
     assert "reflectance: not traceable: no paint was measured" in told("both.paint.json")
     shutil.move(lab / "first", tmp_path / "gone-1")
@@ -189,6 +194,20 @@ def test_pdf_is_one_sheet_and_repeats():
     pdf = certificate_pdf(made, example())
     assert pdf == certificate_pdf(made, example())
     assert len(re.findall(rb"/Type\s*/Page\b", pdf)) == 1
+
+
+@pytest.mark.parametrize("number", ["No. 12", "A. B. 7", "$\\frac{1}$", "5$ to 6$"])
+def test_the_foot_of_a_sheet_names_the_certificate_as_the_laboratory_numbers_it(number, monkeypatch):
+    written, write = [], Figure.text
+
+    def noted(figure, x, y, s, **options):
+        written.append((s, options.get("parse_math", True)))
+        return write(figure, x, y, s, **options)
+
+    monkeypatch.setattr(Figure, "text", noted)
+    certificate_pdf(certificate(number=number), example())
+    foot = f"Certificate {number}, page 1 of 1. Not to be reproduced except in full. End of certificate."
+    assert (foot, False) in written
 
 
 def test_a_pdf_with_many_warnings_takes_more_sheets():

@@ -172,6 +172,19 @@ def test_command_on_calibrations(tmp_path, capsys):
     assert "6 samples x 6 sessions x 2 mounts x 1 repeats" in capsys.readouterr().out
 
 
+def test_a_calibration_that_is_given_twice_is_no_repeat(tmp_path, capsys):
+    """It would agree with itself, and the measurement would seem to repeat exactly."""
+    rows = ["sample,session,paint"]
+    for sample, session in np.ndindex(5, 6):
+        mode_nm = normal(600 + 5.0 * sample + session, 1.0)
+        write_record(paint(mode_nm=mode_nm), tmp_path / f"{sample}{session}.json", provenance("finray fit", {}, 1))
+        rows += 2 * [f"{sample},{session},{sample}{session}.json"]
+    path = tmp_path / "study.csv"
+    path.write_text("\n".join(rows))
+    assert main(["check", "gauge-rr", str(path)]) == 2
+    assert "00.json are the same calibration; give one calibration for each capture" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

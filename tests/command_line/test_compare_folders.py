@@ -4,6 +4,7 @@ import contextlib
 import csv
 import json
 import os
+import queue
 import re
 import shutil
 import signal
@@ -23,10 +24,12 @@ from data_schemas import (
     FieldError,
     Interval,
     PhotometricErrorReport,
+    RecordError,
     provenance,
 )
 from data_schemas.storage import Child, read_record, write_record
 from finray_calib.cli import _compare_folders
+from finray_calib.cli._compare_folders import _Job, _Work, _Workers
 from finray_calib.compare import OWN_NOISE
 from finray_calib.reports import batch_lines, batch_page
 from finray_calib.reports._batch_page import _causes_sentence, _tiles
@@ -97,6 +100,28 @@ def test_captures_made_from_their_renders_prove_nothing_on_the_page_of_all_press
         assert re.search(rf'<div class="{light}"><dt>Skill, simula\w+</dt>', page)
         assert ("This comparison proves nothing about the simulation" in page) is is_void
         assert ("made from the render" in lines) is ("made from the render" in page) is (light == "care")
+
+
+def test_the_error_of_a_process_is_told_though_another_takes_the_last_work_meanwhile(tmp_path, monkeypatch) -> None:
+    """Between a look at the queue and taking from it, another thread may empty it."""
+
+    class Taken(queue.SimpleQueue):
+        def empty(self) -> bool:
+            return False
+
+    class Broken:
+        def call(self, *_: object) -> None:
+            raise RecordError("the disk is full")
+
+        def kill(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setattr(_compare_folders.queue, "SimpleQueue", Taken)
+    monkeypatch.setattr(_compare_folders, "stopping_together", lambda _: contextlib.nullcontext())
+    workers = _Workers(_Work(tmp_path, "", 1, False, False, None, None), [])
+    monkeypatch.setattr(workers, "_children", [Broken()])
+    with pytest.raises(RecordError, match="the disk is full"):
+        workers.do("compare", [_Job("", "one", tmp_path / "a", tmp_path / "b", Path("c.json"))], "compare")
 
 
 def test_the_largest_part_of_the_lost_skill_is_named_where_it_is_no_cause() -> None:

@@ -17,7 +17,7 @@ from data_schemas import ProcessDiedError, RecordError, RefusedError
 from finray_calib.demo import can_continue
 from finray_calib.demo._report import write_report
 from finray_calib.demo._run import STAGES as REAL_STAGES
-from finray_calib.demo._run import complete_stages
+from finray_calib.demo._run import complete_stages, note_time, noted_times
 from tests.command_line import small_demo
 from tests.command_line.running import Program, children_of, succeed, tree
 from tests.documentation.example_records import example_results
@@ -87,6 +87,13 @@ def test_a_stage_that_dies_is_named_and_the_same_command_goes_on(tmp_path, how, 
     after = tree(out)
     changed = {path for path in before if before[path] != after.get(path)}
     assert {Path(path).name for path in changed} <= {"stage-times.jsonl"}
+
+
+def test_a_line_of_times_that_was_cut_off_does_not_take_the_next_one_with_it(tmp_path):
+    (tmp_path / "stage-times.jsonl").write_text('{"kind": "simulate", "stage": "stage one", "sec')
+    note_time(tmp_path, small_demo.STAGES[1], 3.0)
+    note_time(tmp_path, small_demo.STAGES[2], 4.0)
+    assert noted_times(tmp_path, small_demo.STAGES) == {"simulate": 7.0}
 
 
 def test_what_a_stage_refuses_comes_through_in_its_words(tmp_path):

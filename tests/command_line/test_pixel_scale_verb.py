@@ -87,6 +87,9 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
     both = finray(f"sense scale {rest} {BOARD} --out {tmp_path}/c.json")
     assert both.status == 2
     assert "--plan already describes the board" in both.err
+    other = finray(f"sense scale {rest} --dictionary DICT_5X5_50 --out {tmp_path}/c.json")
+    assert other.status == 2
+    assert "--plan already describes the board" in other.err
 
 
 @pytest.mark.parametrize(
@@ -97,6 +100,10 @@ def test_a_plan_may_say_what_was_printed(pictures: Path, tmp_path: Path) -> None
         (
             "--pad {0}/board-0.png --squares 7 --square-mm 3 --marker-mm 2 --square-u-mm 0.003",
             "must be two whole numbers such as 7x5",
+        ),
+        (
+            "--pad {0}/board-0.png --squares \u00b2x5 --square-mm 3 --marker-mm 2 --square-u-mm 0.003",
+            "--squares \u00b2x5: must be two whole numbers such as 7x5",
         ),
         (
             "--pad {0}/board-0.png --squares 7x5 --square-mm 0 --marker-mm 2 --square-u-mm 0.003",
@@ -197,6 +204,10 @@ def test_a_session_knows_its_pictures(pictures: Path, tmp_path: Path) -> None:
     both = finray(f"sense scale {folder} {BOARD} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert both.status == 2
     assert "is a session, which already contains its pictures and its board" in both.err
+    for option in ("--square-mm 3.02", "--marker-mm 2.21", "--dictionary DICT_5X5_50"):
+        ignored = finray(f"sense scale {folder} {option} --square-u-mm 0.003 --out {tmp_path}/t.json")
+        assert ignored.status == 2
+        assert "is a session, which already contains its pictures and its board; leave out --pad" in ignored.err
     (folder / "frames/00000_board_1.tiff").write_bytes(b"changed")
     changed = finray(f"sense scale {folder} --square-u-mm 0.003 --out {tmp_path}/t.json")
     assert changed.status == 2

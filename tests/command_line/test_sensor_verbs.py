@@ -1,5 +1,7 @@
 """Classic sensors at the command line: listed, written, shown, rendered, and refused where they are no fingers."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -95,6 +97,29 @@ def test_the_library_takes_names_designs_and_files(design):
     assert outcome.status == 2
     assert "there is no preset design 'nose'; valid names are flat-70x35" in outcome.err
     assert "gelsight-wedge" in outcome.err
+
+
+def test_a_fitted_design_in_another_folder_finds_the_files_of_the_one_it_was_made_from(tmp_path, monkeypatch):
+    """A relative file of a design starts at the design's own folder."""
+    stored = Path(__file__).parents[1] / "schemas" / "frozen" / "SensorFit" / "v3" / "example.json"
+    fit = read_record(stored, SensorFit)
+    camera = fit.sensor.camera.model_copy(update={"calibration": "lens.yaml", "response": "camera.csv"})
+    fit = fit.model_copy(update={"sensor": fit.sensor.model_copy(update={"camera": camera})})
+    monkeypatch.setattr("finray_calib.fit_sensor", lambda *_, **__: fit)
+    (tmp_path / "designs").mkdir()
+    (tmp_path / "designs" / "sensor.toml").write_text('preset = "gelsight-flat"\n')
+    monkeypatch.chdir(tmp_path)
+    words = "simulate fit designs/sensor.toml --captures a.json --engine scalar --out"
+    succeed(f"{words} fits/a.sensor.json")
+    moved = read_sensor(tmp_path / "fits" / "a.fitted.toml").camera
+    assert Path(moved.calibration) == tmp_path / "designs" / "lens.yaml"
+    assert Path(moved.response) == tmp_path / "designs" / "camera.csv"
+    succeed(f"{words} designs/a.sensor.json")
+    beside = read_sensor(tmp_path / "designs" / "a.fitted.toml").camera
+    assert (beside.calibration, beside.response) == ("lens.yaml", "camera.csv")
+    outcome = finray(f"{words} a.txt")
+    assert outcome.status == 2
+    assert "must be a record: choose an --out that ends in .json" in outcome.err
 
 
 def test_fitted_to_a_capture(design, tmp_path, monkeypatch):

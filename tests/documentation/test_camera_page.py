@@ -13,7 +13,7 @@ from html_page import Page, assert_stands_alone
 
 from data_schemas import CameraCharacterisation, Resolvable, provenance
 from finray_calib.radiometry import characterise_camera, sensitivity_threshold_e
-from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, nonuniformity, root_of
+from finray_calib.radiometry._photon_transfer import MONOCHROME, FrameStack, nonuniformity, normal_estimate, root_of
 from finray_calib.reports import camera_page
 from tests.radiometry.camera_sessions import (
     BLACK_LEVEL_DN,
@@ -67,6 +67,24 @@ def test_every_quantity_has_an_expanded_uncertainty(camera):
         assert 10 ** (decibels["estimate"] / 20) == pytest.approx(c.dynamic_range.estimate, rel=1e-12)
         steps = 20 * np.log10(1 + 2e-4 * c.dynamic_range.sd / c.dynamic_range.estimate) / 1e-4
         assert decibels["expanded_uncertainty"] == pytest.approx(steps, rel=1e-3)
+
+
+def test_the_interval_of_an_offset_in_electrons_holds_the_uncertainty_of_the_gain(camera):
+    """DSNU times gain, both drawn: 1e6 draws tell an end to 0.2 % of the half width."""
+    channel = camera.channels[0]
+    gain = normal_estimate(channel.gain_e_per_dn.estimate, 0.05 * channel.gain_e_per_dn.estimate)
+    dsnu = normal_estimate(channel.dsnu_dn.estimate, 0.02 * channel.dsnu_dn.estimate)
+    known = Resolvable(resolved=True, **dsnu.model_dump())
+    unsure = camera.model_copy(
+        update={"channels": (channel.model_copy(update={"gain_e_per_dn": gain, "dsnu_dn": known}),)}
+    )
+    told = numbers(camera_page(unsure))["channels"][channel.channel]["dsnu_e"]
+    rng = np.random.default_rng(1)
+    drawn = rng.normal(gain.estimate, gain.sd, 10**6) * rng.normal(dsnu.estimate, dsnu.sd, 10**6)
+    half = 0.5 * float(np.diff(np.quantile(drawn, (0.025, 0.975)))[0])
+    # the product of two normal values is not quite normal: its ends lie 0.1 % of the value apart from ours
+    assert 0.5 * (told["high95"] - told["low95"]) == pytest.approx(half, rel=0.01)
+    assert told["expanded_uncertainty"] == pytest.approx(2.0 * float(drawn.std()), rel=0.01)
 
 
 def test_the_threshold_is_that_of_the_standard_and_its_uncertainty_covers():

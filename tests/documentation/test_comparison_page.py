@@ -10,7 +10,7 @@ import pytest
 from example_records import example_results
 from html_page import TRUST, Page, assert_stands_alone, contrast, least_contrast, palettes
 
-from data_schemas import Interval, Provenance, RecordError
+from data_schemas import ErrorAttribution, ErrorCause, Interval, Provenance, RecordError, WhiteBalanceDrift
 from data_schemas.storage import write_record
 from finray_calib.compare import OWN_NOISE
 from finray_calib.compare._comparison_record import COVERS_INPUTS, COVERS_PARTS
@@ -95,6 +95,7 @@ def test_the_verdict_stands_before_trust_images_and_tables(html, page):
             "no larger than that between two captures of the same touch",
         ),
         ((0.8, 0.9, 0.999), True, "Better than no simulation", "as good as the capture can show, or explain only 80 %"),
+        ((0.8, 1.0, 1.2), False, "Better than no simulation", "predicts all of what the touch changes, within the unc"),
         ((0.8, 0.9, 0.999), False, "Better than no simulation", "10 % of the squared change remains unexplained"),
     ],
 )
@@ -168,6 +169,28 @@ def test_every_metric_stands_beside_doing_nothing_and_the_floor():
     assert [group.heading for group in encoded.groups] == [table.groups[0].heading, table.groups[2].heading]
 
 
+def test_the_channel_in_which_capture_and_simulation_differ_most_need_not_be_the_one_that_changes_most():
+    drift = WhiteBalanceDrift(
+        gains=(1.1, 1.0, 1.0), expected_gains=(1.1, 1.05, 1.0), u_rel=(0.002,) * 3, uneven_rel=(0.002,) * 3,
+        blocks=(50,) * 3, corrected=False,
+    )  # fmt: skip
+    told = words.white_balance_sentence(drift)
+    assert "differ most in green: the capture changes by 0 %, the simulation by +5 %" in told
+    assert "not known" in words.white_balance_sentence(drift.model_copy(update={"blocks": (0, 0, 0)}))
+
+
+@pytest.mark.parametrize("lost", [-0.01, 0.0])
+def test_no_share_of_a_loss_is_told_where_noise_was_subtracted_and_nothing_is_lost(lost):
+    depth = ErrorCause(cause="depth", parameters=(), skill_lost=0.02, skill_regained=0.0, like=(), advice="press less")
+    found = ErrorAttribution(
+        causes=(depth,), skill_lost=lost, saturation_skill=0.0, noise_skill=0.0, remainder_skill=lost - 0.02, maps=None
+    )
+    told = words.causes_sentence(found)
+    assert told.startswith(f"No skill is lost: 1 - skill is {lost:.3f}")
+    assert "times" not in told
+    assert "by depth (20 %)" in words.causes_sentence(found.model_copy(update={"skill_lost": 0.1}))
+
+
 def test_the_budget_adds_up_and_names_what_each_input_rests_on():
     rows = {row[0]: row[1:] for row in budget_table(REPORT).groups[0].rows}
     # (0.006, 0.011, 0.002, 0.005): sum of squares 1.86e-4
@@ -177,6 +200,9 @@ def test_the_budget_adds_up_and_names_what_each_input_rests_on():
     assert rows["part of the region that was looked at"][2] == "\N{EN DASH}"
     nothing = REPORT.model_copy(update={"budget": (REPORT.budget[0].model_copy(update={"skill_u": 0.0}),)})
     assert budget_table(nothing).groups[0].rows[0][2] == "\N{EN DASH}"
+    unmeasured = tuple(line.model_copy(update={"objective_u_rel": None}) for line in REPORT.budget)
+    without_brightness = budget_table(REPORT.model_copy(update={"budget": unmeasured})).groups[0].rows
+    assert {row[3] for row in without_brightness} == {"\N{EN DASH}"}
     assert "<svg" in budget_figure([(nothing.budget[0], 0.0)], str, "u")
 
 

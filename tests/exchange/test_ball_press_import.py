@@ -340,6 +340,18 @@ def test_circles_for_captures_that_have_none(tmp_path):
     assert "12 presses" in succeed(f"sense teach {named} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
 
 
+def test_a_circle_is_not_given_to_two_captures_of_one_name(tmp_path):
+    """Sessions number their contacts alike: each has its press-001.json."""
+    for session in ("one", "two"):
+        write_taxim(tmp_path / f"{session}.taxim")
+        succeed(f"import taxim {tmp_path}/{session}.taxim --out {tmp_path}/{session}")
+    (tmp_path / "circles.csv").write_text("image,column_px,row_px,radius_px\npress-001.capture.json,40,30,12\n")
+    files = " ".join(f"{tmp_path}/{session}/press-001.capture.json" for session in ("one", "two"))
+    outcome = finray(f"sense teach {files} --circles {tmp_path}/circles.csv --out {tmp_path}/m.json")
+    assert outcome.status == 2
+    assert "two captures have the name press-001.capture.json" in outcome.err
+
+
 def test_the_measured_scale_takes_the_place_of_the_stated_one(tmp_path):
     """A board straight in front of an ideal camera of the presses' size: mm per px is distance over focal length."""
     rng = np.random.default_rng(1)

@@ -258,6 +258,8 @@ def test_the_verb_writes_a_deck_once(stored, tmp_path, dialect):
         ("deck {file}", "--dialect is missing, but a deck needs it; give one of abaqus, calculix"),
         ("deck --dialect abaqus", "a deck needs exactly one design"),
         ("deck {file} --dialect abaqus --format csv", "--format is only for paints"),
+        ("deck {file} --dialect abaqus --presses 9", "--presses: supported only for a Taxim folder"),
+        ("deck {file} --dialect abaqus --paint red=a.json", "--paint: supported only for a Taxim folder"),
         ("{file}", "--format is missing"),
         ("{file} --dialect abaqus", "--dialect: supported only for a deck"),
         ("{file} {file} --format csv", "2 files are given"),

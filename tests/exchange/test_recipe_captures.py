@@ -656,6 +656,14 @@ def test_a_misspelt_press_is_refused_and_one_that_is_not_there_is_told(tmp_path,
     }
 
 
+def test_presses_are_in_the_order_of_their_whole_numbers_and_a_raised_digit_is_text(tmp_path):
+    """\u00b2 counts as a digit for Python, but is no number."""
+    for name in ("10\u00b2", "10", "9", "rest"):
+        save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))
+    found = read_by_recipe(tmp_path, recipe(PICTURES + "position_mm = 0.0\n"))
+    assert list(found.captures) == ["9", "10", "10\u00b2"]
+
+
 def test_a_press_at_the_base_of_the_pad_has_the_position_0(tmp_path):
     for name in ("a", "rest"):
         save(tmp_path / f"{name}.png", flat() if name == "rest" else dome(60.0, 80.0))

@@ -272,6 +272,15 @@ def test_a_hostile_name_stays_text(blank):
     assert Path(__file__).name not in page
 
 
+@pytest.mark.parametrize(("stated_rel", "allowed"), [(0.003, "0.03"), (0.01, "0.1"), (0.2, "2")])
+def test_the_page_tells_the_allowance_for_stray_light_that_the_decision_made(blank, stated_rel, allowed):
+    """0.03 % of the laser for the usual 0.3 % of other light; it grows with what the rig file states, to no less."""
+    stated = blank.optics.band_uncertainty.model_copy(update={"stray_light_rel": stated_rel})
+    dusty = blank.model_copy(update={"optics": blank.optics.model_copy(update={"band_uncertainty": stated})})
+    page = no_emission_page(dusty, "finray fit", {"bands.json": "0" * 64}).replace("\u00a0", " ")
+    assert f"an allowance for stray light of {allowed} % of the laser" in page
+
+
 def test_a_small_limit_is_not_said_to_be_below_below(blank):
     small = blank.model_copy(update={"detection": blank.detection.model_copy(update={"yield_limit": 2.6e-4})})
     page = no_emission_page(small, "finray fit", {"bands.json": "0" * 64}).replace("\u00a0", " ")

@@ -129,6 +129,31 @@ def test_checksums_within_an_archive_are_compared(tmp_path: Path) -> None:
         assert ([fault.state for fault in faults], unlisted) == (states, [])
 
 
+@pytest.mark.parametrize("name", [" blank.txt", "line\u2028.txt", "\u0085next.txt", "form\x0c.txt"])
+def test_checksums_list_every_name_that_one_line_can_hold(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"1")
+    (tmp_path / "one.txt").write_bytes(b"1")
+    write_manifest(tmp_path)
+    assert manifest_faults(tmp_path) == ([], [])
+    (tmp_path / name).write_bytes(b"2")
+    assert [fault.path.name for fault in manifest_faults(tmp_path)[0]] == [name]
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"no sum\n", "line 1: must contain a SHA-256, two spaces and the path of a file"),
+        (b"0" * 64 + b"  a\r\n" + b"0" * 64 + b"  a\r\n", "line 2: must contain a SHA-256"),
+        (b"\xff\n", "cannot be read as UTF-8 text"),
+    ],
+)
+def test_the_fault_of_checksums_begins_with_a_word(tmp_path: Path, content: bytes, told: str) -> None:
+    """Commands print the path and a colon before it."""
+    (tmp_path / "manifest-sha256.txt").write_bytes(content)
+    (fault,) = manifest_faults(tmp_path)[0]
+    assert (fault.state, fault.text[: len(told)]) == ("changed", told)
+
+
 def test_a_written_archive_is_the_same_each_time_and_never_overwritten(tmp_path: Path) -> None:
     for name in ("a.zip", "b.zip"):
         write_zip(tmp_path / name, CONTENT.items())
