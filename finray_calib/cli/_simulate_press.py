@@ -477,14 +477,14 @@ def _report_motion(mechanics: "PressMechanics", motion: "PressMotion") -> None:
         strict=True,
     )  # fmt: skip
     for move, turn, force, torque, patch, stuck in rows:
-        where = f"move {_three(move, '.2f')} mm  turn {_three(turn, '.1f')} deg"
+        where = f"move {_three(move, 2)} mm  turn {_three(turn, 1)} deg"
         share = f"{100 * stuck / patch:3.0f} % of {patch:.3g} mm2 sticks" if patch > 0.0 else "nothing touches"
-        say(f"  {where}  force {_three(force, '.3f')}  torque {_three(torque, '.2f')}  {share}")
+        say(f"  {where}  force {_three(force, 3)}  torque {_three(torque, 2)}  {share}")
 
 
-def _three(values: "NDArray[np.float64]", digits: str) -> str:
-    """Return three numbers in columns."""
-    return " ".join(f"{value:{'7' + digits}}" for value in values + 0.0)
+def _three(values: "NDArray[np.float64]", digits: int) -> str:
+    """Return three numbers in columns; what rounds to 0 has no sign, whose removal would move the columns."""
+    return " ".join(f"{value:7.{digits}f}" for value in values.round(digits) + 0.0)
 
 
 LARGEST_FORCE_N, LARGEST_BUDGET_S = 1000.0, 1e6

@@ -210,7 +210,7 @@ def _naming_options(**options: str) -> Iterator[None]:
     try:
         yield
     except FieldError as error:
-        told = re.sub(r"^'(\w+)'", lambda found: options.get(found[1], found[0]), str(error))
+        told = re.sub(r"^'?(\w+)'?", lambda found: options.get(found[1], found[0]), str(error))
         raise ImportFormatError(told) from None
 
 
@@ -228,10 +228,10 @@ def _optics(
     if not table.describes_filters:
         curves = read_filter_curves(filters, folder)
         files += [folder / band.curve for band in filters if band.curve is not None]
-    stated, lamp_folder = LampSettings() if rig is None else rig.lamp, folder
+    stated, lamp_folder = LampSettings() if rig is None else rig.lamp, folder if options.lamp is None else Path()
     if options.lamp is not None:
-        sd_k = stated.temperature_uncertainty_k
-        stated, lamp_folder = LampSettings(spectrum=options.lamp, temperature_uncertainty_k=sd_k), Path()
+        with _naming_options(spectrum="--lamp"):
+            stated = LampSettings(spectrum=options.lamp, temperature_uncertainty_k=stated.temperature_uncertainty_k)
     lamp = lamp_curve(stated, lamp_folder)
     files += [lamp_folder / stated.spectrum] if stated.spectrum.endswith(".csv") else []
     response, note = _response(table, rig, folder, options, files)

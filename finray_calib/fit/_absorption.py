@@ -443,7 +443,8 @@ def refuse_unfit_lights(bands: BandSignals, other_lights: Sequence[BandSignals])
         if light.paint_name != bands.paint_name:
             raise FitError(
                 f"other lights: one session is of paint {light.paint_name!r}, but the first is of paint "
-                f"{bands.paint_name!r}; give sessions of one paint (the same paint_name in their plans)"
+                f"{bands.paint_name!r}; give sessions of one paint. If both are, give it one name: paint_name in the "
+                "plans, or --paint-name where 'finray import signals' read tables"
             )
     lights_nm = [light.optics.laser.wavelength_nm for light in (bands, *other_lights)]
     if len(set(lights_nm)) < len(lights_nm):

@@ -111,7 +111,8 @@ def _refuse_unlike(sessions: Sequence[BandSignals]) -> None:
         if one.paint_name != first.paint_name:
             raise FitError(
                 f"session {number} is of paint {one.paint_name!r}, but the first is of paint {first.paint_name!r}; "
-                "give sessions of one paint (the same paint_name in their plans), and fit other paints separately"
+                "give sessions of one paint, and fit other paints separately. If all are of one paint, give it one "
+                "name: paint_name in the plans, or --paint-name where 'finray import signals' read tables"
             )
         unlike = [
             name for name in type(first.optics).model_fields

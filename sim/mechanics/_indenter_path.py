@@ -252,7 +252,7 @@ def press_along(
     Raises
     ------
     SimulateError
-        When the barrier is asked for, or not even the first increment finds an equilibrium.
+        When the barrier is asked for, not even the first increment finds an equilibrium, or nothing is ever touched.
     """
     settings = settings or PressSettings()
     if settings.contact == "barrier":
@@ -289,8 +289,19 @@ def press_along(
         unreached = f"{path.whereabouts(reached)}: {stuck}"
         if history.depth_mm is None:
             raise NoEquilibriumError(unreached) from stuck
-    motion = touch.motion()
+    motion = _with_touch(touch.motion(), unreached)
     return replace(history.pressed(unreached), motion=motion, pressure_mpa=motion.pressure_mpa[-1])
+
+
+def _with_touch(motion: ContactMotion, unreached: str) -> ContactMotion:
+    """Return a motion that touches; refuse one on which nothing is ever touched, as there is no patch to draw."""
+    if not motion.pressure_mpa.any():
+        ended = f", and ended early: {unreached}" if unreached else ""
+        raise SimulateError(
+            f"the indenter touches no node of the coat at any increment of the path{ended}; push_mm counts from first "
+            "touch and is positive into the pad: give a larger push_mm, or a finer [mesh] preset"
+        )
+    return motion
 
 
 def press_as_designed(

@@ -135,6 +135,12 @@ def test_a_path_that_cannot_be_followed_is_refused(tmp_path, text, says):
     assert "path.csv" in str(refused.value)
 
 
+def test_a_path_that_never_touches_is_refused_in_words():
+    for poses in (((0, -1.0, 0, 0, 1),), ((0, -1.0, 0, 0, 1), (0, -1.0, 1.0, 10, 1))):
+        with pytest.raises(SimulateError, match=r"touches no node .* at any increment .* positive into"):
+            press_along(small_finger(0.5), path_of(*poses), COARSE)
+
+
 def test_a_path_is_read_as_it_is_meant(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("push_mm,turn_x_deg,along_mm,increments\n1,0,0,2\n# slide\n1,8,2,4\n", encoding="utf-8")

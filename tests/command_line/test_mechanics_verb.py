@@ -100,6 +100,9 @@ def test_an_indenter_follows_the_path_of_a_file(tmp_path: Path) -> None:
     out = f"--path {tmp_path}/path.csv --out {tmp_path}/moved.press.json"
     said = succeed(f"simulate press {tmp_path}/finger.toml {out}")
     assert said.count("sticks") == 3
+    # numbers that round to 0 from below do not move the columns of their line
+    rows = [line for line in said.splitlines() if "sticks" in line]
+    assert len({tuple(row.index(word) for word in ("turn", "force", "torque", " % of")) for row in rows}) == 1, said
     stored = read_record(tmp_path / "moved.mechanics.json", PressMechanics)
     motion = stored.motion
     assert motion is not None

@@ -205,7 +205,8 @@ def test_without_white_under_the_laser_a_yield_must_be_assumed_and_the_name_says
     assert outcome.status == 2
     assert "'20' must be a yield above 0 and at most 1" in outcome.err
     dim = {name: column[:2] for name, column in values.items()}
-    for columns, names in ((dim, ["450", "500"]), ({**values, "paint_laser": -values["paint_laser"]}, None)):
+    lightless = {**values, "paint_laser": -values["paint_laser"], "paint_laser_sd": values["paint_laser"]}
+    for columns, names in ((dim, ["450", "500"]), (lightless, None)):
         with pytest.raises(ImportFormatError, match=r"the emission has no area, .* of two or more filters"):
             imported(tmp_path, columns, rig, SignalOptions(assumed_yield=0.1), names=names)
 
@@ -378,7 +379,9 @@ def text_of(*rows, header=tuple(FIRST)):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the column 'filter' is missing"),
+        ("", "is empty; give a header row and one row for each filter"),
+        ("# notes only\n", "is empty; give a header row and one row for each filter"),
+        (text_of(FIRST, header=("paint_laser", "paint_laser_sd")), "the column 'filter' is missing"),
         (text_of(), "has no row below its header; give one row for each filter"),
         (text_of(FIRST, header=("filter", "paint_lasr")), "'paint_lasr' is not supported; did you mean 'paint_laser"),
         (text_of(FIRST, header=("filter", "white_lamp")), r"'paint_laser' \(paint under the laser\) is missing"),
@@ -391,6 +394,9 @@ def text_of(*rows, header=tuple(FIRST)):
         (text_of(FIRST | {"paint_laser": "five"}), "line 2, column 'paint_laser': 'five' is not a finite"),
         (text_of(FIRST | {"paint_laser_sd": "-1"}), "line 2, column 'paint_laser_sd': is -1, but must be at least 0"),
         (text_of(FIRST | {"paint_laser_sd": "0"}), "line 2, column 'paint_laser_sd': is 0, but must be above 0"),
+        (text_of(FIRST | {"paint_laser": "-1.1"}), "line 2, column 'paint_laser': lies 11 standard uncertainties"),
+        (with_more("paint_lamp", "-30", "2"), "line 2, column 'paint_lamp': lies 15 standard uncertainties below 0"),
+        (with_more("dark", "7", "0.1"), "line 2, column 'paint_laser': lies 42.4 .* once its dark is subtracted"),
         (text_of(FIRST | {"white_lamp_sd": ""}), "line 2: has a value in the column 'white_lamp', but"),
         (text_of(FIRST | {"white_lamp": "1e300"}), r"only 0 and sizes from 1e-18 to 1e\+18 are"),
         (text_of(FIRST | {"channel": "grey"}, header=(*FIRST, "channel")), "'channel': is 'grey', but must be"),
@@ -417,6 +423,12 @@ def test_wrong_tables_are_refused_with_the_place_and_the_remedy(tmp_path, rig, t
     assert str(path) in str(caught.value)
 
 
+def test_noise_about_zero_is_kept(tmp_path, rig):
+    noisy = exact()
+    noisy["paint_laser"][1] = -9.0 * noisy["paint_laser_sd"][1]
+    assert imported(tmp_path, noisy, rig).fluorescence[1].min() < 0.0
+
+
 def test_wrong_options_are_refused(tmp_path, rig):
     path = tmp_path / "red.csv"
     path.write_text(table(exact()))
@@ -425,7 +437,7 @@ def test_wrong_options_are_refused(tmp_path, rig):
         (f"--rig {rig} --laser-nm 470", "no filter passes the laser at 470 nm; correct the laser's wavelength"),
         (f"--rig {rig} --laser-fwhm-nm 90", "laser.fwhm_nm is 90 nm, but the excitation must be one line"),
         (f"--rig {rig} --laser-nm 20", "error: --laser-nm (in nm): must be at least"),
-        (f"--rig {rig} --lamp candle", "'candle' is not supported; give planck-2856K"),
+        (f"--rig {rig} --lamp candle", "error: --lamp: 'candle' is not supported; give planck-2856K"),
         (f"--rig {rig} --white-reflectance 98", "error: --white-reflectance: must be at most 1, got 98"),
         (f"--rig {rig} --white-uncertainty-rel=-1", "error: --white-uncertainty-rel: must be"),
         (f"--rig {rig} --calibrated", "--calibrated needs the transmission of the integrals"),

@@ -184,7 +184,7 @@ def test_sessions_that_are_no_repeats_are_refused(session):
     with pytest.raises(FitError, match="only one session is given, but at least two are needed"):
         combine_sessions([one])
     with pytest.raises(
-        FitError, match=r"session 2 is of paint 'other', but the first is of paint .*; give sessions of one paint"
+        FitError, match=r"session 2 is of paint 'other', but the first is of paint .*; give sessions .* --paint-name"
     ):
         combine_sessions([one, two.model_copy(update={"paint_name": "other"})])
     laser = two.optics.laser.model_copy(update={"wavelength_nm": 405.0})
