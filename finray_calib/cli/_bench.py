@@ -1,12 +1,15 @@
 """``finray bench``: score any simulator on any captures by one protocol: few presses teach, the others judge."""
 
 import argparse
+import contextlib
 import csv
 import hashlib
 import io
 import json
+import os
 import shlex
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -37,6 +40,7 @@ layer under three lights. A press whose image was used for training is never jud
 comparison (scores/summary.html), and row.json and row.csv with the skill and its interval, the digests of all captures,
 the command and the time that it took. A run that was interrupted or failed starts from the beginning when the same OUT
 is given again."""
+_ENDS_WITHIN_S = 2.0
 TABLE, BLANK = "table of the training presses", "doing nothing"
 GEL = "elastic gel under three lights"
 MOST_TEACHING = 6
@@ -295,16 +299,31 @@ def _run_simulator(arguments: argparse.Namespace, protocol: Path, renders: Path)
     renders.mkdir(parents=True)
     start = time.monotonic()
     try:
-        done = subprocess.run(words, stdin=subprocess.DEVNULL, timeout=arguments.limit_s, check=False)
+        # a group of its own: what a script has started is ended with it, on Ctrl-C too
+        with subprocess.Popen(words, stdin=subprocess.DEVNULL, process_group=0) as process:
+            try:
+                status = process.wait(arguments.limit_s)
+            except BaseException:
+                _end_group(process)
+                raise
     except subprocess.TimeoutExpired:
         raise CompareError(
             f"--command: ran longer than {arguments.limit_s:g} s; raise --limit-s, or give fewer presses"
         ) from None
     except (OSError, ValueError) as error:
         raise CompareError(f"--command: {words[0]} cannot be run ({error}); correct the program's name") from None
-    if done.returncode:
-        raise CompareError(f"--command: failed with exit status {done.returncode}; see its output above for the reason")
+    if status:
+        raise CompareError(f"--command: failed with exit status {status}; see its output above for the reason")
     return time.monotonic() - start
+
+
+def _end_group(process: "subprocess.Popen[bytes]") -> None:
+    """End a program and what it has started: politely, then by force."""
+    with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+        os.killpg(process.pid, signal.SIGTERM)
+        process.wait(_ENDS_WITHIN_S)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _store(out: Path, presses: "Mapping[str, Mapping[str, SimulatedPress]]", seed: int) -> None:

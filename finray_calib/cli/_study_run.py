@@ -7,6 +7,7 @@ import argparse
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from sim.optics import PaintOptics
     from sim.studies import DatasetTask, StudyPaints, StudyTask
 
+#: In the label of a render.
+_RENDERER = re.compile(r"\b(?:scalar|llvm|cuda)\w*")
 RUN_HELP = "run a design study by its plan: change a finger, and press, render and measure each variant"
 RUN_DESCRIPTION = """\
 Change one finger as a plan (TOML) says, and compute every variant: press, images, colours, evenness, change by
@@ -238,8 +241,26 @@ def run_design_study(arguments: argparse.Namespace) -> None:
             f"points computed by other code than the present code ({origin.code}) are kept: {other}. Give --renew to "
             "compute them again"
         )
+    _warn_of_renderers(result, found)
     wrote(out, f"{RESULT_NAME}, {TABLE_NAME} and {PAGE_NAME}")
     suggest_file(out / PAGE_NAME)
+
+
+def _warn_of_renderers(result: "StudyResult", points: "Sequence[StudyPoint]") -> None:
+    """Warn of points that do not share their random numbers, because other renderers took them."""
+    from finray_calib.reports.studies import points_by_code
+
+    labels = {point.number: _RENDERER.search(point.notes[0]) for point in points if point.notes}
+    named = {number: found[0] for number, found in labels.items() if found is not None}
+    if len(set(named.values())) < 2:
+        return
+    rows = tuple(row.model_copy(update={"computed_by": named.get(row.number)}) for row in result.points)
+    told = points_by_code(result.model_copy(update={"points": [row for row in rows if row.computed_by]}))
+    warn(
+        f"points were rendered by different renderers: {'; '.join(f'{n} by {one}' for one, n in told.items())}. Their "
+        "differences contain the noise of both, because points share random numbers within one renderer only; for "
+        "differences with less noise, run the study again with another --out"
+    )
 
 
 def _result(task: "StudyTask", points: "Sequence[StudyPoint]", failures: "Sequence[StudyFailure]") -> "StudyResult":

@@ -261,7 +261,7 @@ def _chosen(files: str, names: Sequence[str], pictures: Sequence[_Kind]) -> str:
     ]
     if not others:
         return ""
-    for only in ("?" * len(presses[0]), "*[0-9]"):
+    for only in ("?" * len(presses[0]), "*[0-9]", "[0-9]*"):
         if all(fnmatchcase(name, only) for name in presses) and not any(fnmatchcase(name, only) for name in others):
             return f"\nonly = {toml_text(only)}"
     return f"\nleave_out = [{', '.join(map(toml_text, others))}]" if len(others) <= _KEYS_SHOWN else ""

@@ -201,13 +201,15 @@ def load_depth_table(path: Path) -> NDArray[np.float64]:
     Raises
     ------
     ImportFormatError
-        If the file is missing, pickled, or does not hold depths that grow from entry 1 on.
+        If the file is missing, pickled, or holds other than depths that grow, above 0 mm from entry 2 on.
     """
     table = np.asarray(_load_array(path), dtype=np.float64)
-    if table.ndim != 1 or len(table) < 3 or not (np.diff(table[1:]) > 0).all():
+    # the maker's fit leaves entry 0 below 0, and entry 1 near it: no depth is read from them
+    is_table = table.ndim == 1 and len(table) > 2 and bool(np.isfinite(table).all())
+    if not (is_table and (np.diff(table[1:]) > 0).all() and table[2] > 0):
         raise ImportFormatError(
-            f"{path}: expected one depth in mm per grey level, increasing from entry 1 on, got an array of shape "
-            f"{table.shape}. Run the maker's depth calibration again."
+            f"{path}: expected one finite depth in mm per grey level, increasing from entry 1 on and above 0 mm from "
+            f"entry 2 on, got an array of shape {table.shape}. Run the maker's depth calibration again."
         )
     return table
 

@@ -160,6 +160,7 @@ class IndiDevice:
         self._device, self._needed = device, needed
         self.properties: dict[str, IndiProperty] = {}
         self.blobs: dict[str, IndiElement] = {}
+        self._withdrawn: dict[str, IndiProperty] = {}
         self._texts: deque[str] = deque(maxlen=_KEPT_TEXTS)
 
     def property(self, name: str) -> IndiProperty:
@@ -229,10 +230,12 @@ class IndiDevice:
         elif message.tag == "setBLOBVector":
             self.blobs.update({blob.name: blob for blob in message.elements})
         elif message.tag.startswith(("def", "set")) and message.name:
-            known = self.properties.setdefault(message.name, IndiProperty())
+            again = self._withdrawn.pop(message.name, None)
+            known = self.properties.setdefault(message.name, again or IndiProperty())
             is_definition = message.tag.startswith("def")
             known.definitions += is_definition
-            known.settings += not is_definition
+            # Drivers that rebuild their controls after a change answer it by a new definition alone.
+            known.settings += again is not None or not is_definition
             known.state = message.attributes.get("state", known.state)
             for element in message.elements:
                 known.values[element.name] = element.text
@@ -242,10 +245,15 @@ class IndiDevice:
                     known.ranges[element.name] = (number(stated[0], where), number(stated[1], where))
 
     def _forget(self, name: str) -> None:
-        """Drop a property, or all; without the needed one there is no device."""
-        gone = [name] if name else list(self.properties)
-        for each in gone:
-            self.properties.pop(each, None)
+        """Drop a property, or all; without the needed one there is no device.
+
+        Its counts are kept: an exchange that runs compares with them when the property is defined again.
+        """
+        for each in [name] if name else list(self.properties):
+            if (known := self.properties.pop(each, None)) is not None:
+                known.values.clear()
+                known.ranges.clear()
+                self._withdrawn[each] = known
         if not name or name == self._needed:
             raise self.lost(f"the driver withdrew {name or 'the device'}, so it crashed or was disconnected")
 
@@ -434,7 +442,7 @@ class IndiClient(IndiDevice):
 
     def _connect(self, end_s: float) -> None:
         """Connect to the server, and the driver to its device."""
-        self.properties, self.blobs = {}, {}
+        self.properties, self.blobs, self._withdrawn = {}, {}, {}
         self._texts.clear()
         self._reader = IndiReader(self.name)
         self._socket = open_socket(self._where, self.name, end_s)

@@ -160,11 +160,16 @@ def design_parameter(design: FingerDesign, text: str) -> DesignParameter:
     Raises
     ------
     SimulateError
-        When the design has no such number, a limit is not a number, or the design refuses it.
+        When the design has no such number, a limit is not a number, the design refuses it, or nothing depends on it.
     """
     name, separator, limits = text.partition("=")
     one = _Field.of(name.strip())
     start = one.value(design)
+    if one.path.endswith(f".{_POWER}") and len(design.lights) == 1:
+        raise SimulateError(
+            f"--within: {name.strip()} has no effect, because the power of all panels together is kept and this finger "
+            "has one panel; leave it out, or add another panel to the design"
+        )
     low, high = _limits(name.strip(), limits, start) if separator else _usual_limits(name.strip(), start)
     is_integer = isinstance(start, int)
     if is_integer and (low := float(np.ceil(low))) >= (high := float(np.floor(high))):

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shlex
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -130,6 +131,25 @@ def test_what_cannot_be_benched_is_told(captures: Path, options: str, message: s
     outcome = finray(f"bench tactile {options} --out out")
     assert outcome.status == 2
     assert message in outcome.err
+
+
+def test_what_a_late_simulator_has_started_ends_with_it(captures: Path) -> None:
+    """A script that starts the renderer proper: only the script itself is the command's own child."""
+    Path("late.sh").write_text("sleep 60 & echo $! > started; wait\n")
+    outcome = finray("bench tactile set --teach 2 --simulator mine --limit-s 0.5 --command 'sh late.sh' --out out")
+    assert (outcome.status, "--command: ran longer than 0.5 s" in outcome.err) == (2, True)
+    state, end_s = Path(f"/proc/{int(Path('started').read_text())}/stat"), time.monotonic() + 5.0
+    # one that was ended may be there still, as a zombie that nobody has asked after
+    while is_running(state) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    assert not is_running(state)
+
+
+def is_running(state: Path) -> bool:
+    try:
+        return state.read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
 
 
 def test_a_simulator_is_scored_on_all_judged_presses_or_none(captures: Path) -> None:

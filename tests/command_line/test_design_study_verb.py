@@ -111,6 +111,35 @@ def test_points_of_other_code_are_told_when_a_study_goes_on(tmp_path, capsys, mo
     assert "by different code" not in Path("out/study.html").read_text()
 
 
+def test_points_of_another_renderer_are_told_when_a_study_goes_on(tmp_path, capsys, monkeypatch):
+    """Random numbers are shared within one renderer only."""
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(PLAN)
+    plan, path = read_plan("plan.toml")
+    task = StudyTask(plan, StudyPaints(*stand_in_paints()), "auto", tmp_path / "out", tmp_path, provenance("a test"))
+    point_file(task.folder, 1).parent.mkdir(parents=True)
+    vivid = StudyMetric(name="vividness", value=7.0, low95=6.0, high95=8.0, unit="1", meaning="chroma")
+    points = study_points(plan, path)
+
+    def store(planned, variant):
+        record = StudyPoint(
+            study=plan.name, number=planned.number, key=point_key(task, planned), changes=planned.changes,
+            design=planned.design, metrics=(vivid,), processor_s=1.0, notes=(f"rendered, level b, {variant}",),
+        )  # fmt: skip
+        point_file(task.folder, planned.number).unlink(missing_ok=True)
+        write_record(record, point_file(task.folder, planned.number), task.origin)
+
+    store(points[0], "scalar_rgb, without what several surfaces reflect")
+    store(points[1], "llvm_ad_rgb")
+    assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
+    warned = " ".join(capsys.readouterr().err.split())
+    assert "points were rendered by different renderers: 1 by scalar_rgb; 2 by llvm_ad_rgb. Their differences" in warned
+    assert "run the study again with another --out" in warned
+    store(points[0], "llvm_ad_rgb")
+    assert main(["study", "run", "plan.toml", "--out", "out"]) == 0
+    assert "different renderers" not in capsys.readouterr().err
+
+
 def test_mistakes_in_a_plan_are_one_sentence(tmp_path, capsys):
     assert main(["study", "run", str(tmp_path / "none.toml")]) == 2
     assert "no such plan; give a plan file (TOML) or one of the shipped plans" in capsys.readouterr().err

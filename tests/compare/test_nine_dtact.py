@@ -193,5 +193,15 @@ def test_a_table_of_words_or_one_that_does_not_grow_is_refused(tmp_path):
     ):
         load_depth_table(path)
     np.save(path, np.array([-0.9, 0.1, 0.3, 0.2]))
-    with pytest.raises(ImportFormatError, match="one depth in mm per grey level, increasing from entry 1 on"):
+    with pytest.raises(ImportFormatError, match="one finite depth in mm per grey level, increasing from entry 1 on"):
+        load_depth_table(path)
+
+
+@pytest.mark.parametrize(
+    "table", [[0.0, -0.3, -0.1, 0.2], [0.0, -0.1, 0.0, 0.2], [np.nan, 0.1, 0.2, 0.3], [0.0, 0.1, 0.2, np.inf]]
+)
+def test_a_table_of_depths_that_no_press_has_is_refused(tmp_path, table):
+    path = tmp_path / "Pixel_to_Depth.npy"
+    np.save(path, np.array(table))
+    with pytest.raises(ImportFormatError, match=r"one finite depth in mm per grey level, .* above 0 mm from entry 2"):
         load_depth_table(path)

@@ -403,6 +403,18 @@ def test_a_begun_recipe_proposes_columns_and_says_which_units_are_not_known(tmp_
     assert [c.indenter.depth_mm for c in found.values()] == pytest.approx([0.2 + 0.1 * k for k in range(len(PLACES))])
 
 
+def test_a_begun_recipe_takes_names_of_numbers_without_those_that_only_end_in_one(tmp_path):
+    """Seventeen others are too many to be left out one by one."""
+    for k in range(18):
+        put(tmp_path / f"{k}.png", PRESSES[k % len(PRESSES)])
+    for k in range(17):
+        put(tmp_path / f"Kugel_{k:02d}.png", UNTOUCHED)
+    put(tmp_path / "rest.png", UNTOUCHED)
+    recipe = begun(tmp_path)
+    assert recipe.presses.only == "[0-9]*"
+    assert list(read_by_recipe(tmp_path, recipe).captures) == [f"{k}" for k in range(18)]
+
+
 def test_a_begun_recipe_names_the_rest_of_each_folder_and_maps_of_depth(tmp_path):
     for k, image in enumerate(PRESSES):
         folder = tmp_path / f"ball_{k % 2}"

@@ -58,6 +58,7 @@ def evaluated(design: FingerDesign) -> EvaluatedDesign:
             "'light.angle_deg' of this finger is 30.0, which has no coordinates; leave out [y]",
         ),
         ("pad.shape=0:1", "is 'flat', which is not a number"),
+        ("light.power_rel", "has no effect, because the power of all panels together is kept and this finger has one"),
         ("coating.diffuse_share", "has no default limits; give them as coating.diffuse_share=LOW:HIGH"),
     ],
 )

@@ -20,7 +20,7 @@ from rigs.transports import _indi_messages as indi_messages
 from rigs.transports._indi_client import IndiAddress, devices_at
 from rigs.transports._indi_messages import IndiElement, IndiMessage, IndiReader, get_properties, number
 from tests.capture.drivers.programs import free_port
-from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript
+from tests.capture.drivers.serial_replay import TRANSCRIPTS, read_transcript, replayed
 
 LIGHT = b"".join(said for who, said in read_transcript(TRANSCRIPTS / "indi_light_panel.txt") if who == "device")
 
@@ -344,3 +344,37 @@ def test_the_address_is_checked_before_anything_is_opened() -> None:
         open_switch("nonsense", "laser", None),
     ):
         pass
+
+
+def gain(kind: str, value: int) -> bytes:
+    return (
+        f'<{kind}NumberVector device="A" name="GAIN" state="Ok"><{"def" if kind == "def" else "one"}Number '
+        f'name="GAIN_VALUE" min="0" max="100">{value}</{"def" if kind == "def" else "one"}Number></{kind}NumberVector>'
+    ).encode()
+
+
+@pytest.mark.parametrize("answer", [gain("def", 7), gain("def", 7) + gain("set", 7)])
+def test_a_property_that_the_driver_defines_anew_meanwhile_is_changed_and_read_back(answer: bytes) -> None:
+    """Drivers that rebuild their controls withdraw a property and define it again, instead of setting it."""
+    connection = b'<defSwitchVector device="A" name="CONNECTION"><defSwitch name="CONNECT">On</defSwitch>'
+    connected = connection + b"</defSwitchVector>"
+    withdrawn = b'<delProperty device="A" name="GAIN"/>'
+    change = new_vector("Number", "A", "GAIN", {"GAIN_VALUE": "7"})
+    spoken = [
+        ("host", get_properties("A")),
+        ("device", connected + gain("def", 3) + b'<defTextVector device="A" name="B"/>'),
+        ("host", get_properties("A", "CONNECTION")),
+        ("device", connected),
+        ("host", change),
+        ("device", withdrawn + answer),
+        ("host", get_properties("A", "GAIN")),
+        ("device", withdrawn + gain("def", 7)),
+    ]
+    with (
+        replayed(spoken) as address,
+        IndiClient(f"{address.removeprefix('socket://')}/A", "camera", "B") as client,
+    ):
+        end_s = time.monotonic() + 1.0
+        client.ready(end_s)
+        known = client.change("Number", "GAIN", {"GAIN_VALUE": "7"}, end_s)
+        assert (known.values, known.state) == ({"GAIN_VALUE": "7"}, "Ok")
