@@ -441,6 +441,7 @@ def _sensor_views(press: "SimulatedPress") -> "dict[str, NDArray[np.uint8]]":
     from finray_calib.reports import to_display
 
     pad = np.isfinite(press.distance)
+    pad |= not pad.any()  # nothing is pressed in, so that no pixel has a distance from the contact
     white = np.full(3, max(float(np.percentile(press.no_contact[pad].max(axis=-1), 99.0)), np.finfo(np.float32).tiny))
     change = 0.5 * white + CHANGE_SHOWN * (press.contact - press.no_contact)
     images = {"no_contact-view": press.no_contact, "contact-view": press.contact}
