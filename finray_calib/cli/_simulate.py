@@ -194,7 +194,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument(
         "--images", action="store_true",
         help="also write a folder of images (basis bands, spectra and geometry per pixel as OpenEXR, raw frames and "
-        "pictures as PNG), and the press as a capture for 'finray compare'",
+        "pictures as PNG), and a finger's press as a capture for 'finray compare'",
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",

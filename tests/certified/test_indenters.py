@@ -149,6 +149,7 @@ def test_corners_on_both_sides_of_a_rounding_boundary_are_one(tmp_path):
             "3 edges have two triangles of opposite orientation",
         ),
         (CUBE.triangles, 1e-3, "seems to be in metres"),
+        (CUBE.triangles, 1 / 25.4, "seems to be in inches or metres"),
         (CUBE.triangles, 1e3, "seems to be in micrometres"),
         (CUBE.triangles[:0], 1.0, "contains no triangles"),
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "enclose no volume"),

@@ -79,6 +79,9 @@ def test_rendered_with_pictures(design, tmp_path, monkeypatch):
     assert (again.sensor, again.name, again.label) == (press.sensor, press.name, press.label)
     assert again.contact.shape == press.contact.shape
     np.testing.assert_array_equal(again.distance, press.distance)
+    outcome = finray("recolour sensor.press.json --white-balance 1:1:2 --out other.press.json")
+    assert outcome.status == 2
+    assert "is of a classic sensor, which has no paints, so it cannot be recoloured" in outcome.err
 
 
 def test_a_height_map_is_rendered_and_named_as_an_input(design, tmp_path, monkeypatch):
