@@ -341,8 +341,8 @@ def rig_as_it_is(rig: RigFile, rig_folder: Path, sources: Mapping[str, str]) -> 
 
 def resume_notes(
     folder: Path,
-    doubt: str = "lamp, laser and temperature may have changed meanwhile, and the laser dose does not include the light "
-    "between the last stored frame and the interruption",
+    doubt: str = "lamp, laser and temperature may have changed meanwhile, and the laser dose does not include the "
+    "light between the last stored frame and the interruption",
 ) -> tuple[str, ...]:
     """Return what the user of a resumed session should know, with every interruption that its journal holds."""
     counts = [str(line["frames"]) for line in read_journal(folder) if line["event"] == "resume" and "frames" in line]

@@ -161,7 +161,18 @@ def test_corners_on_both_sides_of_a_rounding_boundary_are_one(tmp_path):
         ),
         (CUBE.triangles[:, [0, 0, 0]], 1.0, "none of the triangles has an area"),
     ],
-    ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number", "inside out", "needles"],
+    ids=[
+        "open",
+        "twisted",
+        "metres",
+        "inches",
+        "micrometres",
+        "empty",
+        "flat",
+        "not a number",
+        "inside out",
+        "needles",
+    ],
 )
 def test_unusable_files_are_refused(tmp_path, triangles, scale, message):
     (tmp_path / "body.stl").write_bytes(stl_bytes(triangles, scale * CUBE.vertices_mm, "body"))
