@@ -155,9 +155,12 @@ def add_paints_as_given(parser: argparse._ActionsContainer) -> None:
 
 def both_paint_files(arguments: argparse.Namespace) -> dict[str, Path]:
     """Return the files of ``--paint``, red and green."""
+    from finray_calib import finger_design
+
     files = paint_files(arguments)
     for colour in ("red", "green"):
         if colour not in files:
+            finger_design(arguments.design)  # a mistake in the design is told first
             raise SimulateError(f"the {colour} wall has no paint; give --paint red=FILE and --paint green=FILE")
     return files
 

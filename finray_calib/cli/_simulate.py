@@ -194,7 +194,7 @@ def add_render(jobs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument(
         "--images", action="store_true",
         help="also write a folder of images (basis bands, spectra and geometry per pixel as OpenEXR, raw frames and "
-        "pictures as PNG), and the press as a capture for 'finray compare'",
+        "pictures as PNG), and a finger's press as a capture for 'finray compare'",
     )  # fmt: skip
     parser.add_argument(
         "--denoise", action="store_true",
@@ -441,6 +441,7 @@ def _sensor_views(press: "SimulatedPress") -> "dict[str, NDArray[np.uint8]]":
     from finray_calib.reports import to_display
 
     pad = np.isfinite(press.distance)
+    pad |= not pad.any()  # nothing is pressed in, so that no pixel has a distance from the contact
     white = np.full(3, max(float(np.percentile(press.no_contact[pad].max(axis=-1), 99.0)), np.finfo(np.float32).tiny))
     change = 0.5 * white + CHANGE_SHOWN * (press.contact - press.no_contact)
     images = {"no_contact-view": press.no_contact, "contact-view": press.contact}

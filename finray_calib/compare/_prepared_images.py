@@ -434,9 +434,15 @@ def require_same_conditions(press: SimulatedPress, capture: TactileCapture) -> N
     ------
     CompareError
         Angles of the light, shapes or radii of the indenter, depths or positions of the push differ by more than three
-        stated standard uncertainties and by more than is one setting: 1 deg, 2 %, 0.05 mm, 0.5 mm.
+        stated standard uncertainties and by more than is one setting: 1 deg, 2 %, 0.05 mm, 0.5 mm. Or the render
+        shows no contact.
     """
     _require_same_light(press, capture)
+    if not np.isfinite(press.distance).any():
+        raise CompareError(
+            f"{press.name!r} is not pressed in; give the design the indenter and depth of {capture.name}, and render "
+            "it again"
+        )
     if press.indenter is None:
         return
     _require_same_indenter(press.name, press.indenter, capture)

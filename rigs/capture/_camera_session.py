@@ -145,7 +145,7 @@ def capture_camera_with(
         ):
             recorder = _Recorder(opened, rig, plan, step, store, journal, request)
             recorder.record(None if interrupted is None else interrupted.levels)
-        notes = (*opened.notes, *recorder.notes, *resume_notes(interrupted), *fault_notes(out))
+        notes = (*opened.notes, *recorder.notes, *resume_notes(out), *fault_notes(out))
         for note in notes:
             journal.append("note", text=note)
         session = CameraSession(plan=plan, rig=rig, frames=store.frames, devices=opened.identities(), notes=notes)

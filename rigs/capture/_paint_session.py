@@ -591,7 +591,7 @@ def capture_with(
             devices=opened.identities(),
             filter_proof=recorder.proof,
             white_rates_dn_per_s=recorder.white_rates(),
-            notes=(*recorder.notes, *colour_notes(store.frames), *resume_notes(interrupted), *fault_notes(out)),
+            notes=(*recorder.notes, *colour_notes(store.frames), *resume_notes(out), *fault_notes(out)),
         )
         noted = dict(request.sources) or ({} if interrupted is None else interrupted.sources)
         write_session(session, out, {**noted, **inputs}, request.command, journal)

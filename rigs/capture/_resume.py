@@ -339,16 +339,16 @@ def rig_as_it_is(rig: RigFile, rig_folder: Path, sources: Mapping[str, str]) -> 
     return rig, dict(sources)
 
 
-def resume_notes(interrupted: Interrupted | None) -> tuple[str, ...]:
-    """Return what the user of a resumed session should know."""
-    if interrupted is None:
+def resume_notes(
+    folder: Path,
+    doubt: str = "lamp, laser and temperature may have changed meanwhile, and the laser dose does not include the "
+    "light between the last stored frame and the interruption",
+) -> tuple[str, ...]:
+    """Return what the user of a resumed session should know, with every interruption that its journal holds."""
+    counts = [str(line["frames"]) for line in read_journal(folder) if line["event"] == "resume" and "frames" in line]
+    if not counts:
         return ()
-    count = len(interrupted.frames)
-    return (
-        f"interrupted after {count} frame{'' if count == 1 else 's'} and resumed: lamp, laser and temperature may "
-        "have changed meanwhile, and the laser dose does not include the light between the last stored frame "
-        "and the interruption",
-    )
+    return (f"interrupted after {', '.join(counts)} frame{'' if counts == ['1'] else 's'} and resumed: {doubt}",)
 
 
 def stored_before(interrupted: Interrupted) -> dict[str, Any]:

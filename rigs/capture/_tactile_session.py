@@ -62,7 +62,7 @@ from rigs.capture._journal import (
     read_journal,
 )
 from rigs.capture._plan import TactileShot, instruction, press_of, tactile_shots
-from rigs.capture._resume import CHANGED_EVENT, NO_BEGINNING, UNFIT_BEGINNING, begun_with, move_aside
+from rigs.capture._resume import CHANGED_EVENT, NO_BEGINNING, UNFIT_BEGINNING, begun_with, move_aside, resume_notes
 from rigs.capture._session_folder import SESSION_NAME, SessionRequest, clear_session, require_empty, write_session
 from rigs.capture._stage_press import EXCHANGE_S, HOMING_WITHIN_S, StagePress, contact_times, replayed_presses
 
@@ -199,6 +199,9 @@ def _image(folder: Path, frame: TactileFrame) -> NDArray[np.uint16]:
 
 
 KIND = "tactile"
+PRESS_DOUBT: Final = (
+    "light and gel may have changed between the contact before the interruption and the image of no contact after it"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,14 +236,6 @@ class InterruptedPresses:
     lines: int
     sources: dict[str, str]
     measured: dict[int, MeasuredPress]
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the user of the resumed session should know."""
-        return (
-            f"interrupted after {len(self.frames)} frame{'' if len(self.frames) == 1 else 's'} and resumed: light and "
-            "gel may have changed between the contact before the interruption and the image of no contact after it",
-        )
 
 
 def is_tactile(folder: Path) -> bool:
@@ -398,7 +393,7 @@ def capture_tactile_session(
             with faults_noted(journal, out, stated_times(rig, plan, presses).healing_s):
                 recorder.record(shots)
             doubts = () if calibration is None else calibration_notes(rig, calibration)
-            notes = (*driver_notes(rig), *doubts, *(interrupted.notes if interrupted else ()), *fault_notes(out))
+            notes = (*driver_notes(rig), *doubts, *resume_notes(out, PRESS_DOUBT), *fault_notes(out))
             session = _session_of(plan, rig, presses, recorder, device, notes).model_copy(
                 update={"press_devices": opened.press_devices(), "load_cell": calibration}
             )

@@ -547,6 +547,11 @@ def stored_bands(rendered: RenderedLight) -> PaintBands:
 
 def _lights(press: SimulatedPress) -> tuple[RenderedLight, RenderedLight, FingerDesign]:
     """Return the light that a press was rendered with and the one that it shows."""
+    if press.sensor is not None:
+        raise SimulateError(
+            f"{press.name} ({press.label}) is of a classic sensor, which has no paints, so it cannot be recoloured; "
+            "change its design and render it again"
+        )
     if press.rendered_light is None or press.design is None or _layers(press)[0] is None:
         raise SimulateError(
             f"{press.name} ({press.label}) does not contain the light that it was rendered with, so it cannot be "

@@ -163,6 +163,7 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 _SAME_SHARE = 1e-6  # corners closer than this share of the body's size are one
 _LEAST_VOLUME = 1e-9  # of the cube of its size; what rounding leaves of two sides that lie on each other
 _LEAST_MM, _MOST_MM = 0.5, 300.0
+_MM_PER_INCH = 25.4
 _SEGMENT_MM = 5.0  # of long facets: their boxes stay small when the body is turned
 
 
@@ -478,7 +479,8 @@ def check_closed_body(mesh: TriangleMesh, name: str) -> None:
         )
     size = float(np.ptp(mesh.vertices_mm, axis=0).max())
     if not _LEAST_MM <= size <= _MOST_MM:
-        meant = "metres" if size < _LEAST_MM else "micrometres"
+        small = "metres" if size * _MM_PER_INCH < _LEAST_MM else "inches or metres"
+        meant = small if size < _LEAST_MM else "micrometres"
         raise SimulateError(
             f"{name}: the body measures {size:g} mm, but must measure {_LEAST_MM:g} to {_MOST_MM:g} mm. The file seems "
             f"to be in {meant}; export it in mm"

@@ -150,6 +150,14 @@ def test_changed_missing_and_unknown_frames_are_taken_again(
     assert read_session(stopped).frames == session.frames
 
 
+def test_every_interruption_is_noted(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
+    with (stopped / "journal.jsonl").open("a") as journal:
+        journal.write('{"event": "resume", "frames": 1, "utc": "2026-11-20T10:00:00+00:00", "monotonic_s": 1e4}\n')
+    count = len(read_interrupted(stopped).frames)
+    (note,) = [note for note in resumed(rig, small, stopped).notes if "interrupted" in note]
+    assert note.startswith(f"interrupted after 1, {count} frames and resumed")
+
+
 def test_line_cut_short_is_passed_over(rig: RigFile, small: PaintPlan, stopped: Path) -> None:
     with (stopped / "journal.jsonl").open("a") as journal:
         journal.write('{"event": "fra')

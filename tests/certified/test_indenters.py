@@ -149,6 +149,7 @@ def test_corners_on_both_sides_of_a_rounding_boundary_are_one(tmp_path):
             "3 edges have two triangles of opposite orientation",
         ),
         (CUBE.triangles, 1e-3, "seems to be in metres"),
+        (CUBE.triangles, 1 / 25.4, "seems to be in inches or metres"),
         (CUBE.triangles, 1e3, "seems to be in micrometres"),
         (CUBE.triangles[:0], 1.0, "contains no triangles"),
         (np.vstack([CUBE.triangles[:1], CUBE.triangles[:1, ::-1]]), 1.0, "enclose no volume"),
@@ -160,7 +161,18 @@ def test_corners_on_both_sides_of_a_rounding_boundary_are_one(tmp_path):
         ),
         (CUBE.triangles[:, [0, 0, 0]], 1.0, "none of the triangles has an area"),
     ],
-    ids=["open", "twisted", "metres", "micrometres", "empty", "flat", "not a number", "inside out", "needles"],
+    ids=[
+        "open",
+        "twisted",
+        "metres",
+        "inches",
+        "micrometres",
+        "empty",
+        "flat",
+        "not a number",
+        "inside out",
+        "needles",
+    ],
 )
 def test_unusable_files_are_refused(tmp_path, triangles, scale, message):
     (tmp_path / "body.stl").write_bytes(stl_bytes(triangles, scale * CUBE.vertices_mm, "body"))

@@ -623,6 +623,7 @@ CASES = (
         edited("sweep.json", "0.0,", "NaN,"),
     ),
     # simulate
+    Case("a design that is not there", "simulate render {tmp}/no.toml", r"no\.toml: no such file; give the path of a"),
     Case(
         "no paint",
         "simulate render {lab}/finger.toml --engine scalar",

@@ -48,6 +48,18 @@ def test_shown_with_origins_and_drawn(design, tmp_path):
     assert "a drawing's name must end in .png" in outcome.err
 
 
+def test_pictures_of_a_pad_that_nothing_touches(design, tmp_path):
+    design.write_text(design.read_text() + "[indenter]\ndepth_mm = 0.0\n")
+    succeed(f"simulate render {design} --engine scalar --samples 2 --images --out {tmp_path}/rest.press.json")
+    assert (cv2.imread(str(tmp_path / "rest.optics/change-view.png")) > 0).all()
+    lit = np.full((2, 3, 16, 16), 500.0)
+    write_record(captured(lit, np.random.default_rng(1)), tmp_path / "rest.capture.json", provenance("pytest"))
+    outcome = finray(f"compare {tmp_path}/rest.press.json {tmp_path}/rest.capture.json --out {tmp_path}/error.json")
+    assert outcome.status == 2
+    assert "'small sensor, press of 0 mm' is not pressed in; give the design the indenter and depth of" in outcome.err
+    assert "Warning" not in outcome.err
+
+
 def test_rendered_with_pictures(design, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = succeed("simulate render sensor.toml --engine scalar --samples 2 --images --seed 4")
@@ -67,6 +79,9 @@ def test_rendered_with_pictures(design, tmp_path, monkeypatch):
     assert (again.sensor, again.name, again.label) == (press.sensor, press.name, press.label)
     assert again.contact.shape == press.contact.shape
     np.testing.assert_array_equal(again.distance, press.distance)
+    outcome = finray("recolour sensor.press.json --white-balance 1:1:2 --out other.press.json")
+    assert outcome.status == 2
+    assert "is of a classic sensor, which has no paints, so it cannot be recoloured" in outcome.err
 
 
 def test_a_height_map_is_rendered_and_named_as_an_input(design, tmp_path, monkeypatch):
