@@ -228,7 +228,8 @@ def _rows(path: Path) -> list[dict[str, str | None]]:
     """Return the rows of a CSV file with header."""
     from data_schemas.storage import read_csv
 
-    header, rows = read_csv(path, "a CSV file in UTF-8 with a header row", CompareError)
+    texts = ("simulated", "captured", "name", "simulator", "press", "session", "sensor")
+    header, rows = read_csv(path, "a CSV file in UTF-8 with a header row", CompareError, other_marks=True, names=texts)
     return [dict(zip_longest(header, cells[: len(header)])) for _, cells in rows]
 
 

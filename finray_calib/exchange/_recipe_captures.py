@@ -399,7 +399,7 @@ class _Folder:
                         f"{self.folder}: a median needs at least 3 presses of one size, but the {len(pictures)} "
                         "pictures are too few or differ in size; take images without contact"
                     )
-                self._median = np.median(pictures, axis=0).astype(np.uint16)
+                self._median = np.rint(np.median(pictures, axis=0)).astype(np.uint16)
                 self._median_of = {file_of(path) for path in files[::step]}
             self._made_of |= self._median_of
             return [self._median]

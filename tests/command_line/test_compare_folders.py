@@ -197,10 +197,10 @@ def test_names_that_give_one_file_name_get_files_of_their_own(folders: Path) -> 
     assert all((folders / "out" / file).is_file() for file in files)
 
 
-def test_a_list_of_pairs(folders: Path) -> None:
-    (folders / "pairs.csv").write_text(
-        "simulated,captured,name\nsimulated/one.press.json,captured/two.capture.json,mixed\nx.json,y.json,gone\n"
-    )
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_a_list_of_pairs(folders: Path, mark: str) -> None:
+    text = "simulated,captured,name\nsimulated/one.press.json,captured/two.capture.json,mixed\nx.json,y.json,gone\n"
+    (folders / "pairs.csv").write_text(text.replace(",", mark))
     outcome = finray(f"compare --pairs {folders}/pairs.csv --out {folders}/out")
     assert outcome.status == 0
     assert "1 of 2 pairs compared" in outcome.out

@@ -477,6 +477,18 @@ def test_the_median_does_not_use_what_is_left_out(tmp_path):
     assert found.left_out["the recipe excludes it"] == list(names)
 
 
+def test_a_median_of_an_even_number_is_rounded(tmp_path):
+    """Halves that are cut off would darken the picture without contact by a quarter of a step on average."""
+    folder = write_digit(tmp_path / "f")
+    found = read_by_recipe(folder, shipped("fots-digit", ball=2 * BALL_PX / 21.09))
+    files = sorted((folder / "mlp_calib" / "digit").glob("*.png"))
+    pictures = [cv2.imread(str(file))[..., ::-1] for file in files if file.stem != "0001"]
+    assert len(pictures) == 8
+    difference = found.captures["0000"].no_contact - np.median(pictures, axis=0)
+    assert np.isin(difference, [-0.5, 0.0, 0.5]).all()
+    assert abs(difference.mean()) < 0.01  # by the rule of even numbers; cut off it is some -0.2
+
+
 def test_the_source_of_a_circle_is_kept(tmp_path, monkeypatch):
     """Circles that were searched for stay searched for, also when they come back by --circles."""
     write_digit(tmp_path / "digit")

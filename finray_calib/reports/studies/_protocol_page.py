@@ -106,7 +106,8 @@ _EACH: Final = (
 )
 _TURN: Final = (
     "Along the pad from its base, across from its middle line (towards the green wall of a finger: positive), depth "
-    "from the first touch; turned about the pad's normal, against the clock as seen from the camera."
+    "from the first touch; turned about the pad's normal, against the clock as seen from outside, where the indenter "
+    "is: rotation_deg[1] of a design."
 )
 _THEN: Final = (
     "Put the folders, and presses.csv of this protocol, into one folder PICTURES. With S millimetres per pixel, type:"
