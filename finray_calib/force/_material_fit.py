@@ -2,6 +2,7 @@ r"""Moduli with which finite elements give the force over push that a bench meas
 
 .. math:: F_i = e^{s} F(d_i - d_0; \theta) + b_0 + b_1 t_i + \epsilon_i, \qquad \epsilon_i \sim N(0, \sigma^2 + u_i^2)
 
+u_i holds the stated uncertainties of force and, by the slope of the measured curve, displacement.
 theta are logarithms of moduli. Nuisances of each curve: the first touch d_0, the zero of the load cell b_0, its drift
 b_1 over the curve (t from 0 to 1) and the noise sigma; of each specimen: a factor e^s by which its computed force may
 be wrong (mesh, dimensions). b_0 and b_1 are integrated in closed form; the rest by importance sampling, whose
@@ -258,10 +259,12 @@ class _Problem:
         return np.asarray(-0.5 * (quadratic + ln_det + residual.shape[1] * math.log(2.0 * math.pi)))
 
     def variance_n2(self, curve: int, theta: Floats) -> Floats:
-        """Return the variance of each point, of the noise and of its stated uncertainty, (m, n)."""
+        """Return the variance of each point, of the noise and of its stated uncertainties, (m, n)."""
         measured = self.curves[curve]
-        stated = np.zeros_like(measured.force_n) if measured.u_force_n is None else measured.u_force_n
-        return np.asarray(np.exp(2.0 * self.nuisances(curve, theta)[:, 1])[:, None] + stated**2)
+        slope = np.polyval(
+            np.polyder(np.polyfit(measured.displacement_mm, measured.force_n, 2)), measured.displacement_mm
+        )
+        return np.asarray(np.exp(2.0 * self.nuisances(curve, theta)[:, 1])[:, None] + measured.variance_n2(slope))
 
     def with_drift_n(self, curve: int, theta: Floats) -> Floats:
         """Return the forces (m, n) with the zero and drift that fit best."""

@@ -122,6 +122,21 @@ def test_the_band_of_a_point_that_is_measured_again_holds_its_stated_uncertainty
         assert 0.92 < held < 0.99
 
 
+def test_the_band_is_wide_where_the_displacement_is_stated_to_be_unsure():
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        curve = proportional_curve(rng, 0.005)
+        u_mm = np.where(np.arange(60) % 2, 0.03, 0.0)  # 0.1 N by the slope
+        slope = 20.0 * C10_MPA
+        unsure = dataclasses.replace(
+            curve, force_n=curve.force_n + slope * u_mm * rng.standard_normal(60), u_displacement_mm=u_mm
+        )
+        fit = fit_material([unsure], [proportional_model()], rng).curves[0]
+        width = (fit.high95_n - fit.low95_n) / 3.92
+        assert width[1::2] == pytest.approx(np.full(30, slope * 0.03), rel=0.1)
+        assert (width[::2] < 0.05).all()
+
+
 def test_repeated_presses_of_one_specimen_share_the_error_of_its_computed_force():
     rng = np.random.default_rng(2)
     curves = [proportional_curve(rng, 0.005, stated=False) for _ in range(3)]
