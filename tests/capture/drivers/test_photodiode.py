@@ -13,6 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from data_schemas import CaptureError, CheckPlan, LaserSettings, LostError, RefusedError, TimedOutError
@@ -39,6 +40,7 @@ class DiodeBoard:
         self.port, self.light, self.is_unplugged, self.is_silent, self.is_damaged = port, light, False, False, False
         self.greets, self.is_stuck = b"LIGHT 1.1\n", False
         self._end, self._heard = threading.Event(), b""
+        self.made_s: list[float] = []
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -55,7 +57,8 @@ class DiodeBoard:
                 self._heard = b""
                 self.port.say(self.greets)
             level = 700 if self.light() and not self.is_unplugged else 3
-            at_ms = int(1e3 * (time.monotonic() - began_s))
+            self.made_s.append(time.monotonic())
+            at_ms = int(1e3 * (self.made_s[-1] - began_s))
             text = f"L {number % 65536} {at_ms} {level + number % 3}".encode()
             number += not self.is_stuck
             if not self.is_silent:
@@ -84,7 +87,9 @@ def test_readings_carry_the_time_of_the_board(tmp_path: Path) -> None:
         time.sleep(0.5)
         waited = [diode.read(0.5) for _ in range(20)]
         assert waited[0].at_s < time.monotonic() - 0.2
-        assert all(0.005 < later.at_s - sooner.at_s < 0.05 for sooner, later in pairwise(waited))
+        # the board works in this process, so that its pauses are those of a busy computer: they are kept, to its 1 ms
+        gaps_s = np.lib.stride_tricks.sliding_window_view(np.diff(board.made_s), len(waited) - 1)
+        assert np.abs(gaps_s - np.diff([reading.at_s for reading in waited])).max(axis=1).min() < 0.0015
 
 
 def test_other_boards_are_refused(tmp_path: Path) -> None:
