@@ -184,6 +184,23 @@ def test_the_floor_of_linear_light_is_free_of_noise_and_the_sentence_says_so(pai
     assert "its noise taken out as well" in simulation_sentence(report)
 
 
+def test_pictures_of_one_level_are_refused():
+    """Taken for a gain of the whole picture, their change is what rounding leaves: 1e-27 is no signal."""
+    press = made_up_press("unknown")
+    rows, columns = np.mgrid[0:160, 0:200].astype(np.float32)
+    level = np.full((160, 200, 3), 120, np.uint16)
+    images = {"contact": level - 10, "no_contact": level, "repeat_no_contact": level + 1}
+    capture = capture_of(press, 1.0, encoding="unknown").model_copy(
+        update={**images, "black_level_dn": 0.0, "bit_depth": 8}
+    )
+    distance = np.hypot(rows - 80, columns - 100) / 28
+    flat = press.model_copy(
+        update={"contact": 0.93 * level.astype("f4"), "no_contact": level.astype("f4"), "distance": distance}
+    )
+    with pytest.raises(CompareError, match="contact changes nothing in the region 'contact patch'"):
+        compare_press(flat, capture, seed=1)
+
+
 def test_without_a_repeat_neither_floor_nor_noise_is_known(pair):
     press, capture = pair
     report = compare_press(press, capture.model_copy(update={"repeat_no_contact": None}), seed=1)
