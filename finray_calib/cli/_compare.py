@@ -19,9 +19,9 @@ DESCRIPTION = """\
 Compare a simulated press with a tactile capture over the contact patch and over the patch dilated to twice
 its half-width. Every number is printed beside the same number for doing nothing (the no-contact image taken as the
 simulation) and for the noise floor (a repeat of the no-contact image). The headline is the skill score: 0 is doing
-nothing, 1 is perfect. The noise of linear captures with a repeat is taken out of the simulation's score but not out of
-the floor, so that the score may lie above the floor; with encoded values both contain the noise, and scores above the
-floor row are not meaningful.
+nothing, 1 is perfect. The noise of linear captures with a repeat is taken out of the simulation's score and out of the
+floor, which then shows how far the image without contact drifted; with encoded values both contain the noise, and
+scores above the floor row are not meaningful.
 
 With folders, one.press.json is compared with one.capture.json and so on (or the pairs of --pairs): a report for
 each, and a page over all presses with an interval over presses, from three presses on. Several folders of simulated

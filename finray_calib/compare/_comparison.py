@@ -366,7 +366,8 @@ def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
     """Refuse a region where contact changes no more than noise does."""
     signal = float(sums.signal(np.ones(1))[0] @ weights)
     noise = float(np.sqrt(sums.noise.signal @ weights**2))
-    if not signal > LEAST_SIGNAL * noise:
+    rounding = ROUNDING_REL * float(np.abs(sums.no_contact_square) @ weights)
+    if not signal > max(LEAST_SIGNAL * noise, rounding):
         raise CompareError(
             f"contact changes nothing in the region '{region.name}' beyond the camera's noise, so there is nothing to "
             "explain; check that the contact image shows contact and that the region lies on the contact, or press "
@@ -374,6 +375,9 @@ def _require_contact(region: Region, sums: RegionSums, weights: Floats) -> None:
         )
 
 
+ROUNDING_REL = 1e-12
+"""Share of the sum of squares that rounding may leave of the difference of such sums; a step of a 16-bit picture in
+every pixel is 1e-10."""
 LARGEST_HEADLINE_NOISE = 0.01
 """Standard deviation of the headline skill from noise alone, from which on pixels are averaged over blocks."""
 

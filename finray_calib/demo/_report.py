@@ -427,7 +427,7 @@ def _drawings(results: DemoResults) -> tuple[Picture, ...]:
             score_figure(report),
             simulation_sentence(report),
             "Skill by region, with 95 % intervals. What to see: the nearer the circle is to 1, the less can still be "
-            "improved; the diamond is a repeated capture, with its noise.",
+            "improved; the diamond is a repeated capture.",
         ),
     )
 

@@ -172,7 +172,7 @@ def _key_numbers(report: PhotometricErrorReport) -> tuple[KeyNumber, ...]:
     floor = row_of(headline(report), "floor")
     repeated = ("not known", "no repeat of the no-contact image was captured")
     if floor is not None:
-        noise = "the noise of the repeat is in this number, but not in the simulation's skill"
+        noise = "the camera's noise is taken out of this number, as of the simulation's skill"
         if not words.is_noise_taken_out(report):
             noise = "the camera's noise is in this number, and in the simulation's skill too"
         repeated = (words.repeat_text(floor.skill.estimate), noise)
@@ -409,7 +409,7 @@ def _scores(report: PhotometricErrorReport) -> Picture:
         score_figure(report),
         words.simulation_sentence(report),
         f"Skill by region; bars: {_BRACKETS[interval_name(report)]}. What to see: the nearer the circle is to 1, the "
-        f"less can be improved; the diamond is a repeated capture, with its noise; at 0 the simulation is only as "
+        f"less can be improved; the diamond is a repeated capture; at 0 the simulation is only as "
         "good as an image of the untouched pad.",
     )
 

@@ -145,7 +145,7 @@ def simulation_sentence(report: PhotometricErrorReport) -> str:
         repeated = repeat_text(floor.skill.estimate)
         bound = f"a repeated capture scores {repeated}; the noise of encoded values stays in both scores"
     if floor is not None and is_noise_taken_out(report):
-        bound = f"a repeated capture, with its noise, scores {repeated}"
+        bound = f"a repeated capture scores {repeated}, its noise taken out as well"
         taken_out = " (the camera's noise is taken out)"
     return (
         f"{meaning} over the region \u201c{report.headline_region}\u201d. Doing nothing scores 0, a perfect simulation "

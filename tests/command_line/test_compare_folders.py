@@ -260,10 +260,11 @@ def test_mistakes_are_told_and_nothing_is_written(folders: Path, arguments: str,
     assert tree(folders) == before
 
 
-def test_the_help_says_where_a_score_may_lie_above_the_floor() -> None:
-    """The noise of linear captures is taken out of the score, not of the floor."""
+def test_the_help_says_which_numbers_contain_noise() -> None:
+    """The noise of linear captures is taken out of the score and of the floor."""
     told = " ".join(finray("compare --help").out.split())
-    assert "so that the score may lie above the floor; with encoded values both contain the noise" in told
+    assert "taken out of the simulation's score and out of the floor" in told
+    assert "with encoded values both contain the noise" in told
 
 
 def test_what_fails_for_all_simulators_is_said_once_and_no_interval_has_equal_ends(folders: Path) -> None:

@@ -15,6 +15,7 @@ from finray_calib.compare._image_noise import CaptureNoise
 from finray_calib.compare._input_draws import DRIFT, PIXELS, POSE, WALLS
 from finray_calib.compare._prepared_images import holds_noise_of, prepare_images
 from finray_calib.compare._regions import PATCH
+from finray_calib.reports._comparison_statements import simulation_sentence
 from tests.command_line.records import capture_of
 from tests.command_line.records import press as made_up_press
 from tests.compare.twins import BLACK_DN, DN_PER_UNIT, FULL_SCALE_DN, NAMES, SHAPE, distance_map, twin
@@ -167,6 +168,37 @@ def test_without_known_inputs_intervals_come_from_parts():
         "the render was not stored as two independent halves, so its noise is not known and stays in its errors"
         in report.notes
     )
+
+
+def test_the_floor_of_linear_light_is_free_of_noise_and_the_sentence_says_so(pair):
+    """Two images that differ by noise alone: left in, the noise would cost more skill than the floor shows lost."""
+    report, (_, capture) = compare_press(*pair, seed=1), pair
+    where = distance_map() <= 2.0
+    contact, nothing, repeat = (
+        image[where].astype(np.float64) for image in (capture.contact, capture.no_contact, capture.repeat_no_contact)
+    )
+    weights = np.asarray(report.channel_weights)
+    with_noise = ((repeat - nothing) ** 2).sum(axis=0) @ weights / (((contact - nothing) ** 2).sum(axis=0) @ weights)
+    lost = 1.0 - rows_of(report)["floor"].skill.estimate
+    assert abs(lost) < 0.5 * with_noise  # all of it if it were left in, about 0 if not
+    assert "its noise taken out as well" in simulation_sentence(report)
+
+
+def test_pictures_of_one_level_are_refused():
+    """Taken for a gain of the whole picture, their change is what rounding leaves: 1e-27 is no signal."""
+    press = made_up_press("unknown")
+    rows, columns = np.mgrid[0:160, 0:200].astype(np.float32)
+    level = np.full((160, 200, 3), 120, np.uint16)
+    images = {"contact": level - 10, "no_contact": level, "repeat_no_contact": level + 1}
+    capture = capture_of(press, 1.0, encoding="unknown").model_copy(
+        update={**images, "black_level_dn": 0.0, "bit_depth": 8}
+    )
+    distance = np.hypot(rows - 80, columns - 100) / 28
+    flat = press.model_copy(
+        update={"contact": 0.93 * level.astype("f4"), "no_contact": level.astype("f4"), "distance": distance}
+    )
+    with pytest.raises(CompareError, match="contact changes nothing in the region 'contact patch'"):
+        compare_press(flat, capture, seed=1)
 
 
 def test_without_a_repeat_neither_floor_nor_noise_is_known(pair):

@@ -189,7 +189,7 @@ def test_the_simulation_is_praised_only_as_far_as_its_interval(low: float, high:
     sentence = simulation_sentence(report)
     assert meaning in sentence
     assert "Doing nothing scores 0, a perfect simulation 1 (the camera's noise is taken out)" in sentence
-    assert "a repeated capture, with its noise, scores 0.998" in sentence
+    assert "a repeated capture scores 0.998, its noise taken out as well" in sentence
 
 
 def test_noise_is_said_to_be_taken_out_only_where_it_was() -> None:
