@@ -102,9 +102,11 @@ def cause_figure(changed: NDArray[np.float32], all_changes: NDArray[np.float32])
     all_changes
         (causes, H, W) of which it is one.
     """
-    top = max(float(np.percentile(np.abs(all_changes), SHOWN_PERCENTILE)), 1e-9)
     rows, columns = np.flatnonzero(all_changes.any(axis=(0, 2))), np.flatnonzero(all_changes.any(axis=(0, 1)))
-    part = changed if not rows.size else changed[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    shown = np.s_[..., rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if rows.size else np.s_[...]
+    part = changed[shown]
+    # what is cut away has no changes, and would pull the end of the colours down to them
+    top = max(float(np.percentile(np.abs(all_changes[shown]), SHOWN_PERCENTILE)), 1e-9)
     figure, axes, below = _picture_over_bar(4.4, min(part.shape[0] / part.shape[1], _TALLEST))
     drawn = axes.imshow(part, cmap="PuOr_r", vmin=-top, vmax=top)
     axes.set_axis_off()
@@ -370,7 +372,7 @@ def material_fit_png(fit: MaterialFit) -> bytes:
         axes.plot(at, curve.force_n[order], "o", color=INK, ms=3, label="measured")
         axes.axvline(curve.first_touch_mm.estimate, color=MUTED, lw=0.8, ls="--")
         axes.set(xlabel="displacement (mm), dashed: first touch", ylabel="force (N)")
-        axes.set_title(f"{curve.measured}: {curve.specimen}", fontsize=9)
+        axes.set_title(f"{curve.measured}: {curve.specimen}", fontsize=9, parse_math=False)
         axes.legend(loc="upper left")
     _draw_moduli(figure.add_subplot(grid[:, 1]), fit.moduli)
     return png_bytes(figure)

@@ -86,7 +86,10 @@ def _draw_finger(figure: Figure | SubFigure, finger: FingerOutline) -> None:
     front.set_ylim(-finger.front_mm, finger.front_mm)
     draw_side(side, finger)
     draw_front(front, finger)
-    figure.suptitle(f"{finger.design.name} (mm): z along the pad from its base, y along its outward normal, x across")
+    figure.suptitle(
+        f"{finger.design.name} (mm): z along the pad from its base, y along its outward normal, x across",
+        parse_math=False,
+    )
     for axes in (side, front):
         axes.set_aspect("equal")
         axes.grid(visible=False)
@@ -170,7 +173,7 @@ _SAME_U = 1e-6
 def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, folder: Path | None = None) -> bytes:
     """Return a picture of a pressed finger as PNG bytes.
 
-    Left, the finger from its green side before the press, and after it, coloured by the length of the displacement
+    Left, the finger from its red side before the press, and after it, coloured by the length of the displacement
     (no exaggeration); a dashed line is the coat along the middle. Right, force along the pad's normal against push.
 
     Parameters
@@ -197,14 +200,14 @@ def pressed_finger_png(mechanics: PressMechanics, surfaces: FingerSurfaces, fold
     _draw_indenter(after, mechanics.design, depth_mm, folder)
     views.colorbar(shown, ax=[before, after], shrink=0.8, label="displacement of the surfaces that are seen (mm)")
     before.set_title("before: the indenter touches (colours: parts; dashed: the coat along the middle)")
-    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (seen from the green side; grey: before)")
+    after.set_title(f"after a push of {depth_mm:.2f} mm, to scale (seen from the red side; grey: before)")
     for axes in (before, after):
         axes.set(aspect="equal", ylabel="y (mm)")
         axes.grid(visible=False)
         axes.autoscale_view()
     after.set_xlabel("z along the finger, from the base of the pad (mm)")
     _draw_curve(curve.subplots(), mechanics)
-    figure.suptitle(f"{mechanics.name}: {mechanics.label}")
+    figure.suptitle(f"{mechanics.name}: {mechanics.label}", parse_math=False)
     return png_bytes(figure)
 
 
@@ -248,7 +251,7 @@ def indenter_path_png(mechanics: PressMechanics) -> bytes:
     below.colorbar(drawn, ax=axes, shrink=0.8, label="pressure (MPa)")
     below.supxlabel("x across the pad (mm); ringed: slips in this increment; arrows: friction on the coat")
     below.supylabel("z along the finger (mm)")
-    figure.suptitle(f"{mechanics.name}: {mechanics.label}, friction {motion.friction:g}")
+    figure.suptitle(f"{mechanics.name}: {mechanics.label}, friction {motion.friction:g}", parse_math=False)
     return png_bytes(figure)
 
 
@@ -409,16 +412,16 @@ def _draw_curve(axes: Axes, mechanics: PressMechanics) -> None:
 
 
 def _farthest_first(shape: FingerShape) -> list[str]:
-    """Return the parts by their greatest x: what is nearer to the viewer hides what is farther."""
-    return sorted(shape.surfaces, key=lambda name: float(shape.surfaces[name].vertices_mm[:, 0].max()))
+    """Return the parts by their least x, the greatest first: what is nearer to the viewer hides what is farther."""
+    return sorted(shape.surfaces, key=lambda name: -float(shape.surfaces[name].vertices_mm[:, 0].min()))
 
 
 def _facing(surface: Surface) -> NDArray[np.int64]:
-    """Return the triangles that look to the viewer at x = infinity, farthest first."""
+    """Return the triangles that look to the viewer at x = -infinity, who sees z run to the right, farthest first."""
     corners = surface.vertices_mm[surface.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    facing = np.flatnonzero(normal[:, 0] > _LEAST_FACING * np.linalg.norm(normal, axis=1))
-    return facing[np.argsort(corners[facing, :, 0].mean(axis=1), kind="stable")]
+    facing = np.flatnonzero(-normal[:, 0] > _LEAST_FACING * np.linalg.norm(normal, axis=1))
+    return facing[np.argsort(-corners[facing, :, 0].mean(axis=1), kind="stable")]
 
 
 def _polygons(surface: Surface, facing: NDArray[np.int64]) -> Floats:
@@ -546,7 +549,7 @@ def sensor_png(sensor: PlainSensor, places_mm: Floats) -> bytes:
     _draw_view(view, places_mm)
     _draw_cut(side, sensor, 2)
     _draw_cut(across, sensor, 0)
-    figure.suptitle(f"{sensor.name} (mm): x across the pad, y into its gel, z along it")
+    figure.suptitle(f"{sensor.name} (mm): x across the pad, y into its gel, z along it", parse_math=False)
     return png_bytes(figure)
 
 

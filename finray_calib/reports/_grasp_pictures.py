@@ -66,7 +66,7 @@ def grasp_png(grasp: ObjectGrasp, near: Finger, far: Finger, folder: Path | None
     _draw_side(side.subplots(), grasp, (near, far), (first, second), folder)
     _draw_way(curves, grasp)
     _draw_pads(below, first, second)
-    figure.suptitle(f"{grasp.name}: {grasp.label}, friction {first.friction:g}")
+    figure.suptitle(f"{grasp.name}: {grasp.label}, friction {first.friction:g}", parse_math=False)
     return png_bytes(figure)
 
 

@@ -14,6 +14,7 @@ from data_schemas import ErrorAttribution, ErrorCause, Interval, Provenance, Rec
 from data_schemas.storage import write_record
 from finray_calib.compare import OWN_NOISE
 from finray_calib.compare._comparison_record import COVERS_INPUTS, COVERS_PARTS
+from finray_calib.reports import _comparison_figures
 from finray_calib.reports import _comparison_statements as words
 from finray_calib.reports import comparison_page, headline
 from finray_calib.reports._comparison_figures import budget_figure, cause_figure
@@ -458,3 +459,12 @@ def test_the_picture_of_a_cause_under_a_cylinder_does_not_fill_the_screen():
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', cause_figure(change, change[None]))
     assert size
     assert float(size[2]) < 1.6 * float(size[1])
+
+
+def test_the_colours_of_a_cause_reach_as_far_as_its_changes_however_small_the_pad_is_in_the_picture(monkeypatch):
+    ends = []
+    monkeypatch.setattr(_comparison_figures, "_put_bar", lambda figure, drawn, *rest: ends.append(drawn.get_clim()))
+    change = np.zeros((200, 200), dtype=np.float32)
+    change[90:104, 90:104] = 0.1  # half a per cent of the pixels
+    cause_figure(change, change[None])
+    assert ends == [pytest.approx((-0.1, 0.1))]

@@ -12,7 +12,7 @@ from data_schemas import FingerDesign, Indenter, PressMechanics
 from data_schemas._design_parts import TactileCamera
 from finray_calib.demo._report import compare_section, simulate_section
 from finray_calib.reports import finger_outline, finger_page_png, pressed_finger_png
-from finray_calib.reports._finger_pictures import _draw_curve, finger_png
+from finray_calib.reports._finger_pictures import _draw_after, _draw_curve, finger_png
 from finray_calib.reports._finger_views import outer_edges, side_polygons, spread
 from sim import preset_design
 from sim.optics import camera_view
@@ -175,6 +175,22 @@ def test_a_deeper_press_is_seen_and_a_push_that_ended_early_is_marked():
     early = pixels(pressed_finger_png(*press_records(3.0, "no equilibrium")))
     assert marked(deep) == 0
     assert marked(early) > 50
+
+
+@pytest.mark.parametrize(("wall", "is_seen"), [("red", True), ("green", False)])
+def test_the_pressed_finger_is_seen_from_the_side_from_which_z_runs_to_the_right(wall, is_seen):
+    """With y up, right x up points to the viewer: z x y = -x, where the red wall is; else the picture is mirrored."""
+    rest = rest_shape(FingerDesign())
+    surface = rest.surfaces[wall]
+    is_inside = (np.abs(surface.uv - 0.5) < 0.4999).all(axis=1, keepdims=True)  # the gel stays closed
+    bulged = replace(surface, vertices_mm=surface.vertices_mm + is_inside * (0.5, 0.0, 0.0))
+    shown = _draw_after(Figure().subplots(), rest, replace(rest, surfaces={**rest.surfaces, wall: bulged}))
+    assert shown.get_array().max() == pytest.approx(0.5 * is_seen)
+
+
+def test_names_with_dollar_signs_are_shown_and_not_read_as_mathematics():
+    mechanics, surfaces = press_records(1.0)
+    assert pressed_finger_png(mechanics.model_copy(update={"name": "gel $5 {a$"}), surfaces)
 
 
 def curve(mechanics):
