@@ -14,9 +14,8 @@ from data_schemas import ErrorAttribution, ErrorCause, Interval, Provenance, Rec
 from data_schemas.storage import write_record
 from finray_calib.compare import OWN_NOISE
 from finray_calib.compare._comparison_record import COVERS_INPUTS, COVERS_PARTS
-from finray_calib.reports import _comparison_figures
+from finray_calib.reports import _comparison_figures, comparison_page, headline
 from finray_calib.reports import _comparison_statements as words
-from finray_calib.reports import comparison_page, headline
 from finray_calib.reports._comparison_figures import budget_figure, cause_figure
 from finray_calib.reports._comparison_statements import budget_table, judged_skill, metric_table, validation_table
 from finray_calib.reports._images import LARGEST_PIXELS, touch_changes, touch_pictures
